@@ -242,8 +242,10 @@ def _inline(text: str, name: str, title: str) -> str:
         if element.tag.endswith("}g"):
             # ids that nothing refers to only make the page longer
             element.attrib.pop("id", None)
-        for key in element.attrib.keys() & {"d", "x", "y"}:
-            # hundredths of a point are finer than any screen or printer
+        turned = {"transform"} if element.get("transform", "").startswith("rotate(") else set()
+        for key in element.attrib.keys() & ({"d", "x", "y", "width", "height"} | turned):
+            # hundredths of a point are finer than any screen, and coarser than what the order of
+            # the solver of layouts leaves from one process to the next
             element.attrib[key] = _DECIMALS.sub(
                 lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."),
                 element.attrib[key],
