@@ -295,6 +295,18 @@ def test_what_would_change_an_effect_that_the_mesh_leaves_open(data):
     assert "mesh" not in text
 
 
+@pytest.mark.parametrize(
+    ("title", "noun"),
+    [
+        ("C10", "C10"),
+        ("overshoot", "the overshoot"),
+        ("stiffness at 4 mm", "the stiffness at 4 mm"),
+    ],
+)
+def test_a_symbol_has_no_article(title, noun):
+    assert Facts("any", "", title=title).noun == noun
+
+
 def test_an_assumed_factor_tells_the_setting_of_each_response_apart():
     there, elsewhere = (
         SimpleEffect("bonded", "frictionless", (("material", level),), size, None, None, 0.0, word)
