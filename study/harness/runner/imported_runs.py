@@ -117,7 +117,7 @@ def _plain_names(
 
     A factor keeps its unit, ``tip_mm`` of ``tip (mm)``. A name that another column has stays.
     """
-    names = {}
+    names: dict[str, str] = {}
     for column in table.columns:
         unit = unit_of_column(column)
         if not is_known(unit):
