@@ -403,18 +403,21 @@ def _checks_of_fits(
     )
     if bad or doubtful:
         first = (bad or doubtful)[0]
-        named = names[first["key"]] or "the only one"
-        use = f"check {count(len(doubtful), 'doubtful fit')}, for example {named}"
+        name = names[first["key"]]
+        use = f"check {count(len(doubtful), 'doubtful fit')}{name and f', for example {name}'}"
         if bad:
             missed = f"{count(len(bad), 'fit')} that missed the data"
-            use = f"use no constant of {missed}, such as {named}"
-        yield Check(
-            FITS_DESCRIBE, "caution",
-            f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows"
-            f"{f', {len(doubtful)} are doubtful' * bool(doubtful)}"
-            f"{f', {len(bad)} do not' * bool(bad)}; of {named}, {misfits[first['key']]}",
-            use,
-        )  # fmt: skip
+            use = f"use no constant of {missed}{name and f', such as {name}'}"
+        counts = [f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows"]
+        counts += [count(len(doubtful), "is doubtful", "are doubtful")] * bool(doubtful)
+        counts += [count(len(bad), "does not", "do not")] * bool(bad)
+        # the counts hold the verdict: the reason alone follows
+        reason = misfits[first["key"]].partition("the data: ")[2]
+        reason = reason.removeprefix("use no constant of it: ")
+        where = f", for example that of {name}" if name else ""
+        where += ", " if reason.startswith("curve ") else ": "
+        finding = f"{listing(counts)}{where}{reason}"
+        yield Check(FITS_DESCRIBE, "caution", finding, use)
     vague = [fit for fit in every if not fit["identifiable"]]
     yield Check(
         "constants are identifiable", "caution" if vague else "pass",

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from study.api.analyzing import analyze
 from study.api.folders import RESULTS, design_root, load_design
-from study.ground.errors import Fault, InputError, MissingDataError, StudyError
+from study.ground.errors import Fault, InputError, MissingDataError, StudyError, nearest
 from study.harness.design.spec import Design
 from study.harness.design.study_file import ResponseSpec
 from study.harness.runner.expansion import expand
@@ -91,7 +91,7 @@ class Power:
 def power(
     design: Design | str | Path,
     *,
-    sd: float | None = None,
+    sd: float | Mapping[str, float] | None = None,
     data: str | Path | None = None,
     results: str | Path = RESULTS,
     overrides: Sequence[str] = (),
@@ -103,9 +103,10 @@ def power(
     ----------
     design : Design, str or Path
         The study.
-    sd : float, optional
+    sd : float or mapping of str to float, optional
         Standard deviation over specimens of a difference between two cells, in the unit of the
-        response. By default that of the study's own results; without them three are assumed.
+        response, for all responses or by their names. By default that of the study's own results;
+        without them three are assumed.
     data : str or Path, optional
         Folder that measurement files are relative to.
     results : Path
@@ -126,8 +127,13 @@ def power(
         For a faulty design, or a design none of whose responses says what matters.
     """
     loaded = load_design(design, overrides)
-    if sd is not None and not (math.isfinite(sd) and sd > 0):
-        raise InputError(Fault("--sd", f"must be a positive number, got {sd!r}"))
+    names = [response.name for response in loaded.responses]
+    scatter = {} if sd is None else sd if isinstance(sd, Mapping) else dict.fromkeys(names, sd)
+    for name, value in scatter.items():
+        if name not in names:
+            raise InputError(Fault("--sd", f"{name!r} is no response", nearest(name, names)))
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(Fault("--sd", f"must be a positive number, got {value!r}"))
     warnings: list[str] = []
     blocks, seconds = _planned(loaded, design_root(loaded, data), warnings)
     detections: list[ContrastDetection] = []
@@ -135,7 +141,8 @@ def power(
         if response.practical is None:
             warnings.append(f"{response.name}: nothing says which difference matters")
             continue
-        detections += _detections(loaded, response, sd, results, seconds, counts, warnings)
+        spread = scatter.get(response.name)
+        detections += _detections(loaded, response, spread, results, seconds, counts, warnings)
     if not detections and all(r.practical is None for r in loaded.responses):
         mend = 'write, for example, practical = "2 pp" in its [[response]]'
         raise InputError(Fault("response", "none says which difference matters", mend))

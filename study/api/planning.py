@@ -153,6 +153,11 @@ def plan(
     loaded = continued(loaded, Store(Path(results) / loaded.name, warn=lambda _: None))
     described = overview(loaded)
     warnings = list(described.warnings)
+    if not loaded.responses:
+        warnings.append(
+            "no [[response]]: `study run` will have nothing to analyze; `study converge` tells how "
+            "the mesh counts"
+        )
     workers = jobs or default_jobs()
     root = design_root(loaded, data)
     try:

@@ -284,10 +284,9 @@ def converge(
     )
     document = answer if isinstance(answer, dict) else answer.to_json()
     cells = document.get("cells", [document])
-    from study.reporting.output.convergence_page import series_blocks
+    from study.reporting.output.convergence_page import series_blocks, series_warnings
 
-    warned = [text for cell in cells for text in cell.get("warnings") or ()]
-    output.show(document, as_json, series_blocks, [] if as_json else warned)
+    output.show(document, as_json, series_blocks, [] if as_json else series_warnings(cells))
     if any(mesh["status"] != "converged" for cell in cells for mesh in cell.get("meshes", ())):
         raise typer.Exit(1)
 

@@ -515,7 +515,8 @@ def _model(text: str | None) -> str | int | list[str] | None:
 def power(
     design: Design,
     sd: Annotated[
-        float | None, option("Scatter of a difference between specimens, in the response's unit.")
+        str | None,
+        option("Scatter of a difference between specimens: 0.4, or by response peak=0.1,mu0=0.02."),
     ] = None,
     data: Data = None,
     settings: Set = None,
@@ -525,8 +526,21 @@ def power(
     """Say how many specimens a claim needs, and what they cost."""
     from study import api
 
-    answer = api.power(design, sd=sd, data=data, results=results, overrides=settings or ())
+    scatter = None if sd is None else _scatter(sd)
+    answer = api.power(design, sd=scatter, data=data, results=results, overrides=settings or ())
     output.show(answer, as_json, _power, answer.warnings)
+
+
+def _scatter(text: str) -> float | dict[str, float]:
+    """Read the value of ``--sd``: a number, or a number for each response named."""
+    try:
+        if "=" not in text:
+            return float(text)
+        pairs = (item.partition("=") for item in listed(text))
+        return {name.strip(): float(value) for name, _, value in pairs}
+    except ValueError:
+        rule = f"must be a number in the unit of the response, or one by response, got {text!r}"
+        raise InputError(Fault("--sd", rule, "write 0.4 or peak=0.1,mu0=0.02")) from None
 
 
 def _power(answer: Power) -> Iterator[Block]:

@@ -173,9 +173,13 @@ _TEXT = "save it as UTF-8 text"
 _PLACE = re.compile(r"^(.*) \((?:at line (\d+), column (\d+)|at end of document)\)$", re.DOTALL)
 
 
-def read_text(path: str | Path) -> str:
-    """Text of a file, refused when it is missing, too large or not UTF-8."""
+def read_text(path: str | Path, needed: str = "a study") -> str:
+    """Text of a file, refused when it is a table of data, missing, too large or not UTF-8."""
     source = str(path)
+    if Path(path).suffix.lower() in (".csv", ".tsv", ".xlsx"):
+        rule = f"is a table, not the file of {needed}"
+        mend = "use `study analyze`, `study import` or `study inspect` with it"
+        raise InputError(Fault(source, rule, mend))
     try:
         raw = read_regular(path, MAX_BYTES)
     except NotRegularError as error:

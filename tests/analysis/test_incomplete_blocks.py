@@ -1,7 +1,7 @@
 """Blocks that lack cells: never more certain than complete ones, and nothing is pooled unasked."""
 
 from collections import Counter
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pandas as pd
@@ -70,6 +70,25 @@ def test_an_effect_is_still_tested_against_its_own_interaction():
     assert effect.verdict == whole.verdict
     assert "7 of 7 levels of specimen lack a cell" in less.error_term.reason
     assert "mixed model" in less.error_term.question
+
+
+def test_the_sum_of_squares_of_a_term_between_blocks_is_that_of_its_contrast():
+    """A 2 x 2 x 2 factorial in blocks of four that differ in a:b:c: its F is against the blocks."""
+    random = np.random.default_rng(7)
+    levels = [-1, 1]
+    rows = [
+        (f"b{k}", a, b, c, 10 + k + 2 * a + random.normal())
+        for k in range(6) for a, b, c in product(levels, levels, levels)
+        if a * b * c == (-1) ** k
+    ]  # fmt: skip
+    table = pd.DataFrame(rows, columns=["block", "a", "b", "c", "y"])
+    row = study.anova(table, "y", ["a", "b", "c"], block="block", exact=False).anova.row("a:b:c")
+    contrast = float((table["a"] * table["b"] * table["c"] * table["y"]).sum())
+    assert row.ss == pytest.approx(contrast**2 / len(table))
+    means = table.groupby("block")["y"].mean().to_numpy()
+    between = stats.f_oneway(means[::2], means[1::2])
+    assert (row.f, row.p) == pytest.approx((between.statistic, between.pvalue), rel=1e-6)
+    assert row.ms == row.ss
 
 
 def test_a_contrast_by_name_is_that_of_the_mixed_model():

@@ -205,6 +205,13 @@ def test_how_many_specimens_a_claim_needs():
         assert rows[b]["equal"]["no_practical_difference"] == pytest.approx(none, abs=0.012)
         assert rows[b]["double"]["matters"] == pytest.approx(matters, abs=0.012)
     assert "positive" in refusal(f"power {design} --sd -1").err
+    each = "relative_rms_force_error=0.3,mu0=0.02"
+    both = success(f"power {design} --sd {each} -s study.seed=1 --json").json["detections"]
+    given = {d["response"]: d["sd"] for d in both if d["source"] == "as given"}
+    assert given == {"relative_rms_force_error": 0.3, "mu0": 0.02}
+    assert next(d for d in both if d["response"] == one["response"]) == one
+    for faulty, says in (("mu=0.1", "'mu' is no response"), ("mu0=0.1 kPa", "must be a number")):
+        assert says in refusal("power", str(design), "--sd", faulty).err
 
 
 def test_a_claim_that_rests_on_one_block_names_it(tmp_path):

@@ -86,6 +86,21 @@ def test_faulty_files(home, name, old, new, says):
     refused(home, command, says)
 
 
+@pytest.mark.parametrize(
+    ("verb", "needed"),
+    [
+        ("require", "the file of sensor requirements (TOML: a problem with [requirement])"),
+        ("tracking", "the file of a tracker study (TOML, which names the table in [recording])"),
+        ("converge", "the file of a study"),
+        ("solve", "the file of a problem"),
+    ],
+)
+def test_a_table_of_data_is_told_from_a_broken_file(home, verb, needed):
+    (home / "curves.csv").write_text("curve,d,f\na,0,0\n")
+    says = refused(home, f"{verb} curves.csv", [f"is a table, not {needed}", "study analyze"])
+    assert "TOML:" not in says.replace(needed, "")
+
+
 def comma(lines):
     return [lines[0].replace(",", ";"), *(x.replace(",", ";").replace(".", ",") for x in lines[1:])]
 

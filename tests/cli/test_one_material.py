@@ -1,6 +1,7 @@
 """`study calibrate --by test`: the Wald test by hand, from the rows of every test."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -203,6 +204,18 @@ def test_the_design_tells_two_truths_apart(tmp_path, truth, verdict):
     # the same files but one: the other two tests agree under both truths
     assert mu0["lubricated-compression"] == pytest.approx(mu0["flat-indentation"], rel=0.02)
     assert (mu0["bonded-compression"] == pytest.approx(others, rel=0.05)) is (verdict == "agree")
+    # docs/thesis.md holds what these commands print
+    told = (DESIGNS.parent / "docs" / "thesis.md").read_text("utf-8")
+    if verdict == "agree":
+        numbers = r"agree: F\(6, ([\d.]+)\) = ([\d.]+), p = ([\d.]+), mu0 within ([\d.]+)"
+        printed = re.search(numbers, told)
+        keys = [found.json[key] for key in ("df_error", "f", "p", "mu0_spread")]
+    else:
+        printed = re.search(r"mu0 then spreads over ([\d.]+) %", told)
+        keys = [found.json["mu0_spread"]]
+    assert printed is not None
+    keys[-1] *= 100
+    assert [float(number) for number in printed.groups()] == pytest.approx(keys, rel=0.01)
 
 
 def test_shear_that_cannot_tell_the_sign_of_an_exponent_agrees(tmp_path):

@@ -17,7 +17,7 @@ from study.reporting.results.study_answers import (
     Conclusion,
     OnlyInOne,
 )
-from study.statistics.analysis.anova_table import Effect
+from study.statistics.analysis.anova_table import Effect, SimpleEffect
 from tests.reporting.example import words_of
 
 EVIL = '<script>alert("x")</script>'
@@ -80,6 +80,20 @@ def test_summary_says_what_holds_what_differs_and_what_is_open():
         "second (0.200 pp)."
     )
     assert unsure.startswith("Range, for the work error: matters under first (1.00 pp), cannot")
+
+
+def test_a_factor_that_matters_at_one_setting_is_told_with_its_difference_there():
+    """An average of .3 pp is less than the .5 pp that matter: 1.4 pp at one setting is not."""
+    simple = [
+        SimpleEffect("a", "b", (("model.space", level),), size, None, None, 0.0, verdict)
+        for level, size, verdict in (("3d", 1.4, "matters"), ("axisymmetric", -0.8, "cannot tell"))
+    ]
+    some = replace(found("matters", 0.3), simple_effects=tuple(simple))
+    row = conclusion("plates", f"{DIFFERS}: how", False, some, found("no practical difference", 0))
+    both = Beside(("first", "second"), (), (row,), (), ())
+    differs = comparison_content.summary(both)[1].replace("\N{NO-BREAK SPACE}", " ")
+    assert "matters under first (1.40 pp at space 3d), no practical difference under" in differs
+    assert comparison_content.table(both).rows[0][4] == "matters at some settings"
 
 
 def test_answer_box_says_which_conclusions_hold(page):

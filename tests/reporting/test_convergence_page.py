@@ -12,6 +12,7 @@ from study.reporting.figures import convergence_figures as convergence
 from study.reporting.figures.axes import make
 from study.reporting.output.convergence_page import (
     convergence_plots,
+    series_warnings,
     sources_tables,
     write_convergence,
 )
@@ -56,7 +57,8 @@ def test_the_page_has_every_figure_and_its_data(tmp_path):
     text = page.read_text(encoding="utf-8")
     assert text.count("<svg") == 4
     assert "Figure missing" not in text
-    for words in ("P2 gives 1 % error for the least time.", "beware", "limited by a corner"):
+    for words in ("P2 gives 1 % error for the least time.", "beware", "limited by a corner",
+                  "2 series: 2 monotone; observed orders 0.30 to 1.20."):  # fmt: skip
         assert words in text
     assert text.count("Formal order 1.19: a corner.") == 1  # once for all cells
     beside = {path.name for path in (tmp_path / "mesh-study-convergence-data").iterdir()}
@@ -164,3 +166,20 @@ def test_a_row_does_not_repeat_its_levels_beside_its_meshes(data):
     known = NumericalUncertainty(levels, "mu0", 20.4, 0.1, "kPa", "monotone", how)
     table = tables.numerical([known], replace(data, block="batch", blocks=("7",)))
     assert table.rows[0][-1] == "batch 7; 3 meshes of ratio 1.5"
+
+
+def test_a_warning_names_its_series_where_there_are_several():
+    cells = [cell(1.2, "quadratic"), cell(1.1, "linear")]
+    assert series_warnings(cells) == ["quadratic: beware", "linear: beware"]
+    assert series_warnings(cells[:1]) == ["beware"]
+
+
+def test_no_two_of_nine_series_look_alike():
+    cells = [cell(1.2, f"element {k}") for k in range(9)]
+    figure = convergence.draw_errors(convergence.error_points(cells))
+    looks = [
+        (line.get_color(), line.get_marker())
+        for line in figure.axes[0].lines
+        if line.get_marker() not in ("None", "")
+    ]
+    assert len(looks) == len(set(looks)) == 9

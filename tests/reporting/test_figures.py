@@ -1,6 +1,7 @@
 """What figures compute and draw: numbers without pixels."""
 
 import math
+import re
 import warnings
 from dataclasses import replace
 from itertools import product
@@ -168,6 +169,22 @@ def test_no_two_panels_have_the_same_title(data):
     factors = {"range": names, "material": both.factors["material"]}
     found = curve_figures.curve_panels(replace(both, curves=pairs, factors=factors))
     assert len(set(curve_figures.panel_titles(found, 2.0, both))) == 2
+
+
+def test_no_place_in_a_drawing_is_finer_than_a_hundredth():
+    """The solver of layouts leaves other digits from one process to the next."""
+
+    def draw():
+        figure = axes.canvas(2, 3)
+        figure.subplots().plot([0, 1 / 3], [0, 1 / 7])
+        figure.axes[0].set_ylabel("force (N)")
+        return figure
+
+    svg = axes.render(draw, "n", "t")
+    places = re.findall(r'(?<= )(?:d|x|y|width|height)="[^"]*"|rotate\([^)]*\)', svg)
+    assert {place.partition("=")[0] for place in places if "=" in place} >= {"d", "x", "width"}
+    assert any(place.startswith("rotate(-90 ") for place in places)
+    assert [place for place in places if re.search(r"\.\d{3}", place)] == []
 
 
 def test_mathematics_in_a_name_stays_text():

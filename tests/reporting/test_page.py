@@ -216,6 +216,13 @@ def test_failures_are_listed_and_a_refused_response_still_makes_a_report(data):
         assert words in page
 
 
+def test_a_design_without_a_response_is_told_so(data):
+    page = undrawn(replace(data, analyses=(), curves=(), surfaces=()))
+    assert "The design names no [[response]], so nothing was analyzed" in page
+    assert "the warnings say why" not in page
+    assert "A [[response]] in the design." in page
+
+
 def test_checks_of_several_responses_stand_together(contents, data):
     rows = contents.tables["checks"].rows
     names = [row[0] for row in rows]

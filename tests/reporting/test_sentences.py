@@ -11,6 +11,7 @@ from study.reporting.content import (
     effect_words,
     methods,
     sentences,
+    surface_content,
 )
 from study.reporting.content.report_facts import Facts, facts
 from study.reporting.content.sentences import cheaper, recommendation, would_change
@@ -30,6 +31,7 @@ from study.statistics.analysis.simple_effects import (
     ONE_SPECIMEN,
 )
 from study.statistics.convergence.contrast_bound import TermBounds
+from study.statistics.surfaces.surface_profile import FittedSurface, LevelDifference
 from tests.reporting.example import undrawn
 
 EMPTY = ReportData("none", "", {}, pd.DataFrame())
@@ -291,3 +293,49 @@ def test_what_would_change_an_effect_that_the_mesh_leaves_open(data):
     text = would_change(replace(data, is_measured=False, data_notes=notes), [few])
     assert "More phantoms would narrow the interval of plates" in flat(text)
     assert "mesh" not in text
+
+
+@pytest.mark.parametrize(
+    ("title", "noun"),
+    [
+        ("C10", "C10"),
+        ("overshoot", "the overshoot"),
+        ("stiffness at 4 mm", "the stiffness at 4 mm"),
+    ],
+)
+def test_a_symbol_has_no_article(title, noun):
+    assert Facts("any", "", title=title).noun == noun
+
+
+def test_an_assumed_factor_tells_the_setting_of_each_response_apart():
+    there, elsewhere = (
+        SimpleEffect("bonded", "frictionless", (("material", level),), size, None, None, 0.0, word)
+        for level, size, word in (("soft", 1.3, MATTERS), ("stiff", -0.7, CANNOT_TELL))
+    )
+    some = effect(MATTERS, range=0.3, ci95=(0.2, 0.4), simple_effects=(there, elsewhere))
+    every = effect(MATTERS, range=9.0, practical=1.0)
+    named = {"plates": ("frictionless", "bonded"), "material": ("soft", "stiff")}
+    data = replace(EMPTY, factors=named, roles={"plates": "unknown"})
+    both = [replace(f, terms=(e,)) for f, e in ((error(), some), (modulus(), every))]
+    assert [flat(line) for line in effect_words.unknowns(data, both)] == [
+        "The level of plates was assumed, and it changes the relative RMS force error by 1.30 pp "
+        "(at material soft) and the initial shear modulus by 9.00 kPa. Measure it."
+    ]
+
+
+@pytest.mark.parametrize(
+    ("ends", "words"),
+    [
+        ((2.0, 4.0), "this matters at 95 % of the settings"),
+        # less than .5 +- .1 at some of the 95 %
+        ((0.55, 4.0), "this matters at some settings"),
+        ((-4.0, -2.0), "this matters at 95 % of the settings"),
+        ((-4.0, 1.0), "this matters at some settings"),
+    ],
+)
+def test_a_difference_between_surfaces_says_at_how_many_settings_it_matters(ends, words):
+    mean = sum(ends) / 2
+    difference = LevelDifference("plates", "bonded", "free", mean, *ends, 0.1, MATTERS)
+    fitted = FittedSurface("force", "N", None, practical=0.5, differences=(difference,))
+    (line,) = surface_content.differences(fitted, EMPTY)
+    assert flat(line).endswith(f"; with 0.5 N as what matters, {words}.")

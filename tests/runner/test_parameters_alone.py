@@ -686,7 +686,7 @@ def test_imported_runs_as_an_instrument_exports_them(tmp_path):
         return api.import_runs(path, "gel", responses, decimal=decimal, results=tmp_path / "r")
 
     assert imported("peak=kN").total == 4
-    with pytest.raises(errors.InputError, match="row of units says kN, but N is declared"):
+    with pytest.raises(errors.InputError, match="the table says kN, but N is declared"):
         imported("peak=N")
     with pytest.raises(errors.InputError) as fault:
         imported("peak=kN", ".")
@@ -695,6 +695,26 @@ def test_imported_runs_as_an_instrument_exports_them(tmp_path):
     path.write_text(path.read_text().replace("kN", "N/mm2"))
     assert imported("peak=N/mm^2").total == imported("peak=MPa").total == 4
     assert one.mend == "write --decimal ,"
+
+
+def test_units_in_the_names_of_columns_are_those_of_responses(tmp_path):
+    path = tmp_path / "runs.csv"
+    rows = [f"{tip},{gel},{tip + 2 * (gel == 'stiff') + copy / 10}"
+            for tip in (1, 2, 3) for gel in ("soft", "stiff") for copy in (0, 1)]  # fmt: skip
+    path.write_text("\n".join(["tip radius (mm),gel,peak force [N]", *rows]))
+    asked = {"numeric": "tip radius (mm) log", "results": tmp_path / "r"}
+
+    def imported(responses, practical=""):
+        return api.import_runs(path, "gel", responses, practical=practical, **asked)
+
+    made = imported("peak force [N]", "peak force [N]=0.5 N")
+    (response,) = made.design.responses
+    assert (response.name, response.unit) == ("peak_force", "N")
+    assert [f.name for f in made.design.factors] == ["gel", "parameters.tip_radius_mm"]
+    assert sorted(made.table["peak_force"]) == sorted(float(row.rpartition(",")[2]) for row in rows)
+    assert imported("peak force [N]=N").total == made.total
+    with pytest.raises(errors.InputError, match="the table says N, but kN is declared"):
+        imported("peak force [N]=kN")
 
 
 def test_listed_cells_take_settings_of_ranges(tmp_path):

@@ -503,11 +503,8 @@ class FileKind(Generic[File, Loaded]):
 
     def load(self, path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
         """Load a file; an override is ``"key=value"``."""
-        if Path(path).suffix.lower() in (".csv", ".tsv", ".xlsx"):
-            rule = f"is a table, not the file of a {self.name}"
-            mend = "use `study analyze`, `study import` or `study inspect` with it"
-            raise InputError(Fault(str(path), rule, mend))
-        return self.loads(diagnostics.read_text(path), str(path), overrides)
+        text = diagnostics.read_text(path, f"a {self.name}")
+        return self.loads(text, str(path), overrides)
 
     def loads(
         self, raw: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()

@@ -16,7 +16,7 @@ from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
-from study.ground.units import agree, listed
+from study.ground.units import agree, is_known, listed, unit_of_column
 from study.harness.design.factors import level_label
 from study.harness.design.load import dump, from_tables, loads
 from study.harness.design.spec import Design, cases
@@ -57,10 +57,17 @@ def write_runs(
     table = read_csv(
         Path(path), required=needed, numbers=list(units), decimal=decimal, declared_by=TYPED_COMMA
     ).without_units(list(units))
+    names = _plain_names(table, units, numeric_names)
+    table, units = _with_plain_names(table, names, units)
+    for column, plain in names.items():
+        numeric_names = [
+            plain + item.removeprefix(column) if item.startswith(column) else item
+            for item in numeric_names
+        ]
     ranges = [settings_run(item, table) for item in numeric_names]
     _check(table, columns, units, ranges)
     rows = _rows(table, columns, units, failed, block, ranges)
-    sizes = _units(practical)
+    sizes = {names.get(name, name): size for name, size in _units(practical).items()}
     if unknown := [k for k in sizes if k not in units]:
         rule = f"{unknown[0]!r} is no response"
         raise InputError(Fault("--practical", rule, nearest(unknown[0], units)))
@@ -103,6 +110,41 @@ def _units(responses: str | Sequence[str]) -> dict[str, str]:
     return {name.strip(): unit.strip() for name, _, unit in pairs}
 
 
+def _plain_names(
+    table: CsvTable, units: Mapping[str, str], numeric: Sequence[str]
+) -> dict[str, str]:
+    """Names in the study of columns that end in a unit in brackets: ``peak`` of ``peak (N)``.
+
+    A factor keeps its unit, ``tip_mm`` of ``tip (mm)``. A name that another column has stays.
+    """
+    names: dict[str, str] = {}
+    for column in table.columns:
+        unit = unit_of_column(column)
+        if not is_known(unit):
+            continue
+        title = column.rpartition(unit)[0][:-1] if column in units else column
+        plain = re.sub(r"[^\w-]+", "_", title).strip("_")
+        is_used = column in units or any(item.startswith(column) for item in numeric)
+        if is_used and plain not in (*table.columns, *names.values()):
+            names[column] = plain
+    return names
+
+
+def _with_plain_names(
+    table: CsvTable, names: Mapping[str, str], units: Mapping[str, str]
+) -> tuple[CsvTable, dict[str, str]]:
+    """Table with other names of columns, and the units of the responses, of their names too."""
+    in_names = {name: unit_of_column(name) for name in names if name in units}
+    known_units = {**in_names, **table.units}
+    renamed = replace(
+        table,
+        columns={names.get(name, name): cells for name, cells in table.columns.items()},
+        padded={names.get(name, name): cells for name, cells in table.padded.items()},
+        units={names.get(name, name): unit for name, unit in known_units.items()},
+    )
+    return renamed, {names.get(n, n): unit or in_names.get(n, "") for n, unit in units.items()}
+
+
 def _check(
     table: CsvTable,
     columns: Sequence[str],
@@ -112,7 +154,7 @@ def _check(
     faults = [
         Fault(
             f"{table.source}: column {name!r}",
-            f"the row of units says {shown}, but {units[name]} is declared",
+            f"the table says {shown}, but {units[name]} is declared",
             f"write {name}={shown}",
         )
         for name, shown in table.units.items()

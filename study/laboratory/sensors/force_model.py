@@ -283,7 +283,8 @@ def load_requirement(
 ) -> RequirementFile:
     """Load a file for ``study require``."""
     source = str(path)
-    tables = diagnostics.parse_toml(diagnostics.read_text(path), source)
+    needed = "sensor requirements (TOML: a problem with [requirement])"
+    tables = diagnostics.parse_toml(diagnostics.read_text(path, needed), source)
     rest = []
     for override in overrides:
         keys, value = diagnostics.parse_override(override)

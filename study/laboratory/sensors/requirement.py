@@ -576,22 +576,23 @@ def _largest_part(sensors: SensorRequirement) -> str:
 
 
 def _linear(check: Simulation) -> str:
-    times = f"At {check.multiple:g} times the given errors"
+    times = f"At {f'{check.multiple:g} times ' * (check.multiple != 1)}the given errors"
     answered = check.samples - check.failed
     if not check.scatters:
         return f"{times} {check.failed} of {check.samples} fits have no answer ({check.message})."
     off = max(check.scatters, key=lambda s: abs(s.ratio - 1))
     shifted = max(check.scatters, key=lambda s: abs(s.bias))
-    lost = f"; {check.failed} fits have no answer" if check.failed else ""
-    bias = (
-        f", and {shifted.name} is shifted by {shifted.bias:+.2f} standard deviations"
-        if abs(shifted.bias) > 0.1
-        else ""
-    )
+    lost = f"; {check.failed} of {check.samples} fits have no answer" if check.failed else ""
+    bias = ""
+    if abs(shifted.bias) > 0.1:
+        mean = "its mean" if shifted is off else f"the mean of {shifted.name}"
+        size_of = f"{shifted.bias:+.2f}".replace("-", "\N{MINUS SIGN}")
+        bias = f", and {mean} is shifted by {size_of} standard deviations"
     verdict = "first order holds" if check.is_linear else "first order does not hold"
     return (
-        f"{times} {verdict}: in {answered} simulated tests {off.name} scatters {off.ratio:.3f} "
-        f"+- {2 * off.ratio_error:.3f} times as much as first order says{bias}{lost}."
+        f"{times} {verdict}: in {answered} simulated tests the scatter of {off.name} is "
+        f"{off.ratio:.3f} \N{PLUS-MINUS SIGN} {2 * off.ratio_error:.3f} times that of first order"
+        f"{bias}{lost}."
     )
 
 

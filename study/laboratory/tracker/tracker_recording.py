@@ -162,7 +162,8 @@ class TrackingFile:
 def load_tracking(path: str | Path) -> TrackingFile:
     """Read a file of ``study tracking``."""
     source = str(path)
-    tables = diagnostics.parse_toml(diagnostics.read_text(path), source)
+    needed = "a tracker study (TOML, which names the table in [recording])"
+    tables = diagnostics.parse_toml(diagnostics.read_text(path, needed), source)
     faults = Faults()
     file = read_table(TrackingFile, tables, "", faults)
     if not faults:

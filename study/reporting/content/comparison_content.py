@@ -7,7 +7,14 @@ from dataclasses import replace
 
 from study.ground.arrays import gathered
 from study.reporting.content.blocks import Block, Folded, Points, Sentence, Table
-from study.reporting.content.effect_words import numerical, size, size_interval
+from study.reporting.content.effect_words import (
+    MATTERS_AT_SETTINGS,
+    change,
+    numerical,
+    size,
+    size_interval,
+    sole_setting,
+)
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import (
     MISSING,
@@ -93,7 +100,7 @@ def _how(row: Conclusion, comparison: Beside) -> str:
     facts = facts_of(row)
     parts = []
     for _, name, effect, best in _sides([row], comparison):
-        number = size(effect, facts).removeprefix(MISSING)
+        number = change(effect, facts).removeprefix(MISSING)
         lead = f"{row.end} with {clean(best)}" if row.same_best is False else ""
         why = clean(effect.why) if effect.strength == CANNOT_TELL else ""
         details = ", ".join(part for part in (number, lead, why) if part)
@@ -171,7 +178,9 @@ def table(comparison: Beside, labels: Labels = None) -> Table:
         "factor": lambda of: _term(of[0], labels),
         "in both": lambda of: of[0].conclusion.partition(":")[0],
         "study": lambda of: clean(of[1]),
-        "verdict": lambda of: of[2].strength or CANNOT_TELL,
+        "verdict": lambda of: (
+            MATTERS_AT_SETTINGS if sole_setting(of[2]) else of[2].strength or CANNOT_TELL
+        ),
         "largest difference": lambda of: size(of[2], facts_of(of[0])),
         f"{first} interval" if first == other else f"interval ({first}; {other})": lambda of: (
             size_interval(of[2], facts_of(of[0]))

@@ -136,11 +136,14 @@ def bound(u: float, effect: Effect, facts: Facts) -> str:
     return _bounding(math.exp(u * effect.u_unit), effect)
 
 
-def change(effect: Effect, facts: Facts, labels: Labels = None) -> str:
+def change(
+    effect: Effect, facts: Facts, labels: Labels = None, *, in_brackets: bool = False
+) -> str:
     """Size of a change that matters, at the setting where it does if it does not on average."""
     if simple := sole_setting(effect):
         number = shown_difference(apart(simple.difference, effect), effect, facts)
-        return f"{number} {setting(simple, labels)}"
+        where = setting(simple, labels)
+        return f"{number} ({where})" if in_brackets else f"{number} {where}"
     return size(effect, facts)
 
 
@@ -251,7 +254,7 @@ def unknowns(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
 
 def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]], labels: Labels) -> str:
     large = [
-        f"{facts.noun} by {change(effect, facts, labels)}"
+        f"{facts.noun} by {change(effect, facts, labels, in_brackets=True)}"
         for facts, effect in effects
         if effect.verdict == MATTERS and effect.range is not None
     ]

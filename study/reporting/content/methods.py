@@ -223,13 +223,16 @@ TERMS: dict[str, str] = {
     "pp": "Percentage points: from 2 % to 3 % is 1 pp.",
     "U": "Bound of the numerical error of a difference, from finer meshes. It is added to both "
     "ends of the interval before that is held against what matters.",
-    "matters from": "The smallest difference that matters in practice, as the design file says.",
+    "matters from": "The smallest difference that matters in practice, as it was declared.",
     "largest difference": "Between the two levels that are farthest apart, on average over the "
     "other factors.",
     "p": "How often chance alone would give an effect at least this large if there were none. "
     "It never decides alone.",
     "p (Holm)": "p adjusted for the number of terms tested in this table (Holm 1979).",
-    "p corrected": "p with the degrees of freedom corrected for unequal covariances.",
+    "p corrected": (
+        "p with the degrees of freedom corrected for unequal covariances; where blocks lack cells, "
+        "the larger of p and that of the scatter of the effect between blocks (CR2)."
+    ),
     "GG epsilon": "Greenhouse-Geisser epsilon: 1 where all differences between levels scatter "
     "alike over the blocks, smaller where they do not; it multiplies the degrees of freedom.",
     "Greenhouse-Geisser": "A correction of the degrees of freedom for differences between levels "

@@ -7,6 +7,7 @@ geometric means, so everything downstream is in the response's own unit.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -67,8 +68,9 @@ class Facts(ResponseAnalysis):
 
     @property
     def noun(self) -> str:
-        """Title inside a sentence: a column of a table is a name, all else has its article."""
-        return self.title if self.is_table else f"the {self.title}"
+        """Title inside a sentence: a column, or a symbol such as C10, has no article."""
+        is_symbol = re.fullmatch(r"\S*\d\S*", self.title) is not None
+        return self.title if self.is_table or is_symbol else f"the {self.title}"
 
     @property
     def is_mixed(self) -> bool:

@@ -88,6 +88,8 @@ def answer(
             )
         if data.is_table and (notes := [note for facts in all_facts for note in facts.warnings]):
             return tuple(sentence(clean(note)) for note in notes)
+        if not data.analyses:
+            return (f"{NO_RESPONSE}, so nothing was analyzed: add one, for example peak_force.",)
         return ("No response could be analyzed; the warnings say why.",)
     named = analyzed[:MOST_RESPONSES] if is_short else analyzed
     rest = count(len(analyzed) - len(named), "more response")
@@ -213,6 +215,7 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
     return sentence(f"for {facts.noun}{sample}, " + "; ".join(parts))
 
 
+NO_RESPONSE = "The design names no [[response]]"
 _LIKE_THE_OTHERS = "only if the missing responses are like the others"
 
 
@@ -614,6 +617,8 @@ def would_change(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if data.surfaces:
         return surface_content.would_change(data)
     parts = [*_surer(data, all_facts), *_closer_to_reality(data)]
+    if not data.analyses:
+        parts = ["a [[response]] in the design"]
     if not parts:
         measured = (
             "rows of other conditions" if data.is_table else "measurements of another material"

@@ -265,8 +265,10 @@ def differences(fit: FittedSurface, data: ReportData) -> Iterator[str]:
         )
         limit = ""
         if fit.practical is not None:
+            # what 95 % of the settings have at least, or what only some have
+            most = ends[0] - difference.bound > fit.practical
             verdict = {
-                MATTERS: "this matters at some settings",
+                MATTERS: f"this matters at {'95 % of the' if most else 'some'} settings",
                 NO_DIFFERENCE: "this makes no practical difference at any setting",
             }.get(difference.verdict, "these runs cannot show whether this matters")
             matters = f"{trimmed(fit.practical)} {unit}".strip()

@@ -136,7 +136,8 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 
 # the same hues dark enough for words: a contrast of 4.5 on white and more (WCAG 2.1, AA)
 WORDS = ("#005f96", "#a84300", "#00694d", "#8f3f6c", "#7a5200", "#1b6a96", "#000000")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+# one more than there are colors, so that 56 series look different
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "p")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 #: settings of matplotlib by their value; at an axis stands no offset and no exponent
 _SETTINGS: dict[Any, str] = {
@@ -241,8 +242,10 @@ def _inline(text: str, name: str, title: str) -> str:
         if element.tag.endswith("}g"):
             # ids that nothing refers to only make the page longer
             element.attrib.pop("id", None)
-        for key in element.attrib.keys() & {"d", "x", "y"}:
-            # hundredths of a point are finer than any screen or printer
+        turned = {"transform"} if element.get("transform", "").startswith("rotate(") else set()
+        for key in element.attrib.keys() & ({"d", "x", "y", "width", "height"} | turned):
+            # hundredths of a point are finer than any screen, and coarser than what the order of
+            # the solver of layouts leaves from one process to the next
             element.attrib[key] = _DECIMALS.sub(
                 lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."),
                 element.attrib[key],

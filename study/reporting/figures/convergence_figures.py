@@ -141,7 +141,7 @@ def _errors_of_cells(ax: Axes, frame: pd.DataFrame, across: str) -> None:
     """Draw the errors of every cell as a line with marks, with a legend beside."""
     for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
         ax.plot(
-            part[across], part["error"], marker=style.MARKERS[k % 7], color=style.color_of(k),
+            part[across], part["error"], marker=style.MARKERS[k % 8], color=style.color_of(k),
             markersize=4.5, label=clean(cell, 60),
         )  # fmt: skip
 

@@ -197,7 +197,7 @@ def _connect_pairs(
         hue_order=numbers,
         order=range(len(across)),
         palette=[style.color_of(index) for index in numbers],
-        markers=[style.MARKERS[index % 7] for index in numbers],
+        markers=[style.MARKERS[index % 8] for index in numbers],
         linestyles=[style.DASHES[index % len(style.DASHES)] for index in numbers],
         markersize=4,
         ax=ax,

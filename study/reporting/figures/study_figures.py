@@ -93,7 +93,7 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     look = {"hue": name_of(first, data.labels), "hue_order": data.factors[first],
             "palette": [style.color_of(k) for k in range(len(data.factors[first]))],
             "style": name_of(second, data.labels), "style_order": data.factors[second],
-            "markers": [style.MARKERS[k % 7] for k, _ in enumerate(data.factors[second])],
+            "markers": [style.MARKERS[k % 8] for k, _ in enumerate(data.factors[second])],
             }  # fmt: skip
     sns.scatterplot(shown, x="seconds", y="mean", s=44, alpha=0.85, ax=ax, **look)
     levels = len(data.factors[first]) + len(data.factors[second])

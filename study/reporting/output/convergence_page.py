@@ -44,13 +44,17 @@ def write_convergence(
     cells = list(document.get("cells", [document]))
     plots = convergence_plots(cells, document.get("fronts", ()), meshes, window)
     tables = [series_table(cells), *sources_tables(cells)]
-    warnings = [
+    blocks = answer_blocks(answers(cells, document), plots, tables, series_warnings(cells))
+    return write_answer("mesh convergence", name, question, blocks, out_dir, stem="convergence")
+
+
+def series_warnings(cells: Sequence[Document]) -> list[str]:
+    """Warnings of every series, each with its cell where there are several."""
+    return [
         f"{label_of(cell)}: {text}" if len(cells) > 1 else str(text)
         for cell in cells
         for text in cell.get("warnings") or ()
     ]
-    blocks = answer_blocks(answers(cells, document), plots, tables, warnings)
-    return write_answer("mesh convergence", name, question, blocks, out_dir, stem="convergence")
 
 
 def convergence_plots(
@@ -122,9 +126,11 @@ def answers(cells: Sequence[Document], document: Document) -> list[str]:
     if len(cells) > 1:
         kinds = [str(cell["behaviour"]) for cell in cells]
         counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
-        lines.append(
-            f"{len(cells)} series: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()) + "."
-        )
+        line = f"{len(cells)} series: " + ", ".join(f"{n} {kind}" for kind, n in counts.items())
+        orders = [c["observed_order"] for c in cells if c["observed_order"] is not None]
+        if orders:
+            line += f"; observed orders {min(orders):.2f} to {max(orders):.2f}"
+        lines.append(f"{line}.")
     return lines
 
 

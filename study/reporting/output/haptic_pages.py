@@ -104,8 +104,8 @@ def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
 def warnings(sensors: SensorRequirement) -> list[str]:
     """Say where the answer, which is of first order, must not be trusted."""
     return [clean(note) for note in sensors.notes] + [
-        f"At {simulation.multiple:g} times the given errors first order does not hold: take "
-        "scatter and shift of the simulated tests there, not the map."
+        f"At {simulation.multiple:g} \N{MULTIPLICATION SIGN} the given errors first order does not "
+        "hold: take scatter and shift of the simulated tests there, not the map."
         for simulation in sensors.simulations
         if not simulation.is_linear
     ]
@@ -164,13 +164,13 @@ def simulations(sensors: SensorRequirement) -> Table:
             "multiple": lambda of: f"{of[0].multiple:g}",
             "quantity": lambda of: of[1].name,
             "scatter over first order": lambda of: f"{of[1].ratio:.3f}",
-            "its error": lambda of: f"{of[1].ratio_error:.3f}",
-            "shift": lambda of: f"{of[1].bias:+.2f}",
+            "\N{PLUS-MINUS SIGN} (95 %)": lambda of: f"{2 * of[1].ratio_error:.3f}",
+            "shift of the mean": lambda of: f"{of[1].bias:+.2f}".replace("-", "\N{MINUS SIGN}"),
             "verdict": lambda of: f"first order {'holds' if of[1].is_linear else 'fails'}",
         },
         left=2,
         tail=1,
-        note="The shift of the mean is in standard deviations.",
+        note="Shift in standard deviations.",
         raw=lambda of: {
             "multiple": of[0].multiple, "samples": of[0].samples, "failed": of[0].failed,
             **vars(of[1]),

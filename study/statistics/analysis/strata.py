@@ -587,6 +587,9 @@ def incomplete_blocks(out: AnalysisResult, plots: Plots | None = None) -> Analys
         basis = bases.get(s.term)
         if basis is None or basis.df == 0 or basis.df < basis.nominal_df:
             continue
+        if s.df < basis.df:
+            # blocks differ in it: its sum of squares is one of theirs
+            row = term_row(basis, 0, within.rss, within.tss)
         test = fit.test(basis.basis)
         epsilon, p_own = sandwich.test(basis.basis)
         df_error[row.term], p[s.term] = test.df_error, max(test.p, p_own)
