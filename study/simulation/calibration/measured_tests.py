@@ -191,6 +191,33 @@ def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
     ]
 
 
+def machine_notes(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[str]:
+    """Say from which stiffness on a machine in series would lower the moduli of a test by 1 %.
+
+    A machine of stiffness K takes F / K of the displacement d, so that F(d - F / K) is fitted: to
+    first order, least squares lower a modulus by the mean of F^2 dF/dd over K times that of F^2.
+    """
+    least: dict[str, float] = {}
+    for curve in curves:
+        is_machine = tests[curve.test].measurements.columns.kinematic == "displacement"
+        if curve.predicted is None or curve.role != "fit" or not is_machine:
+            continue
+        if curve.curve.time_s is not None:  # a course that may stand still has no slope
+            continue
+        d = curve.curve.displacement_mm
+        force = curve.predicted.force_at(d)
+        slope = np.gradient(force, d)
+        stiffness = float(force**2 @ slope / (force @ force))
+        least[curve.file] = max(100 * stiffness, least.get(curve.file, 0.0))
+    return [
+        f"{file}: displacement counts as the specimen's: frame, load cell and grips of "
+        f"{stiffness:.3g} N/mm in series with it would lower moduli by 1 %, which residuals hardly "
+        "show"
+        for file, stiffness in least.items()
+        if stiffness > 0
+    ]
+
+
 def indentation_test(test: CalibratedTest, fitting: Fitting, where: str) -> IndentationTest:
     """Gather what the closed form needs of one test."""
     setup = test.problem.setup
