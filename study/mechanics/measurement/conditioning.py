@@ -77,6 +77,8 @@ class Rules:
     judges_slack: bool = False
     #: Whether an uncertain contact may be declared, and is not yet.
     asks_offset: bool = False
+    #: How far from the recorded zero the fitted one may lie.
+    zero_within_mm: float = 0.0
 
     @property
     def is_raw(self) -> bool:
@@ -562,7 +564,7 @@ def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> Non
     is_early = first < -_STARTS_EARLY * travel and _RISEN * largest < min(
         _rises(d[d <= 0], f[d <= 0]), at_zero
     )
-    if not is_late and not is_early:
+    if abs(first) <= rules.zero_within_mm or not (is_late or is_early):
         return
     at = way * float(d[0])
     turned = float((f - f[0]).max()) < -float((f - f[0]).min())

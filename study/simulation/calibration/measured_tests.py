@@ -77,7 +77,7 @@ def read_tests(
         setup = test.problem.setup
         data = checked(read_measurements(
             test.measurements, root, setup.height_mm, setup.test.displacement_mm, gauge_of(setup),
-            own_rows=True, fits_zero=OFFSET in test.nuisance,
+            own_rows=True, zero_within_mm=_reach_of_zero(test),
         ), setup)  # fmt: skip
         notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
@@ -90,6 +90,20 @@ def read_tests(
             )  # fmt: skip
             curves.append(_with_loss(curve, loss))
     return curves, tuple(dict.fromkeys(notes))
+
+
+#: standard uncertainties of an offset within which its zero is looked for
+_REACH = 3.0
+
+
+def _reach_of_zero(test: CalibratedTest) -> float | None:
+    """How far from the recorded zero a declared offset may lie, mm; None where none is declared."""
+    if (offset := test.nuisance.get(OFFSET)) is None:
+        return None
+    if offset.uncertainty is None:
+        return math.inf
+    value = abs(offset.value or 0.0)
+    return value + _REACH * offset.uncertainty * (value if offset.relative else 1.0)
 
 
 def _weight(weight: float | str, measured: MeasuredTest, where: str) -> float | Array:
