@@ -74,10 +74,10 @@ def read_tests(
     curves: list[FitCurve] = []
     notes: list[str] = []
     for number, test in enumerate(tests):
-        setup = test.problem.setup
+        setup, offset = test.problem.setup, test.nuisance.get(OFFSET)
         data = checked(read_measurements(
             test.measurements, root, setup.height_mm, setup.test.displacement_mm, gauge_of(setup),
-            own_rows=True, zero_within_mm=_reach_of_zero(test),
+            own_rows=True, zero_within_mm=None if offset is None else offset.reach,
         ), setup)  # fmt: skip
         notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
@@ -90,20 +90,6 @@ def read_tests(
             )  # fmt: skip
             curves.append(_with_loss(curve, loss))
     return curves, tuple(dict.fromkeys(notes))
-
-
-#: standard uncertainties of an offset within which its zero is looked for
-_REACH = 3.0
-
-
-def _reach_of_zero(test: CalibratedTest) -> float | None:
-    """How far from the recorded zero a declared offset may lie, mm; None where none is declared."""
-    if (offset := test.nuisance.get(OFFSET)) is None:
-        return None
-    if offset.uncertainty is None:
-        return math.inf
-    value = abs(offset.value or 0.0)
-    return value + _REACH * offset.uncertainty * (value if offset.relative else 1.0)
 
 
 def _weight(weight: float | str, measured: MeasuredTest, where: str) -> float | Array:
