@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -209,10 +210,11 @@ def machine_notes(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -
         slope = np.gradient(force, d)
         stiffness = float(force**2 @ slope / (force @ force))
         least[curve.file] = max(100 * stiffness, least.get(curve.file, 0.0))
+    plain = partial(np.format_float_positional, precision=3, fractional=False, trim="-")
     return [
         f"{file}: displacement counts as the specimen's: frame, load cell and grips of "
-        f"{stiffness:.3g} N/mm in series with it would lower moduli by 1 %, which residuals hardly "
-        "show"
+        f"{plain(stiffness)} N/mm in series with it would lower moduli by 1 %, which residuals "
+        "hardly show"
         for file, stiffness in least.items()
         if stiffness > 0
     ]
