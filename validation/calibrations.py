@@ -13,6 +13,12 @@ holds the truth. Offsets are drawn in ``tests/calibration/test_nuisance.py``, ei
 
 ``python -m validation.calibrations drift 20`` draws so many tests of each of four solids with and
 without a load cell that drifts by 5 % of the largest force, and prints how often that is told.
+
+``python -m validation.calibrations setup 20`` draws so many tensions to stretch 1.4 of 60 rows for
+each fault of a setup that only bends the curve a little: a machine that gives way beside the
+specimen, a preload before displacement is set to zero, a load cell that is not zeroed. It prints
+the mean of C10 over the truth, how often the model is said to describe the rows, and how often a
+warning names an offset.
 """
 
 from __future__ import annotations
@@ -214,17 +220,61 @@ def drift(draws: int) -> None:
               f"drift of {100 * size:g} %: told in {named} of {draws}", flush=True)  # fmt: skip
 
 
+def _tension(fault: str, share: float) -> tuple[Array, Array]:
+    """Displacement (mm) and force (N) of a specimen of C10 in a setup with a fault."""
+    d = np.linspace(0.0, 0.4 * LENGTH, 60)
+
+    def resists(elongation: Array) -> Array:
+        stretch = 1 + elongation / LENGTH
+        return np.asarray(2 * AREA * C10 * (stretch - stretch**-2))
+
+    force = resists(d)
+    if fault == "machine":  # it takes this share of the way at first
+        return d + force * share / (1 - share) / (6 * AREA * C10 / LENGTH), force
+    if fault == "preload":
+        return d, resists(d + np.interp(share * force[-1], force, d))
+    return d, force + share * force[-1]
+
+
+def setup(draws: int) -> None:
+    """Print how often faults of a setup are told that bend a curve a little."""
+    rng = np.random.default_rng(3)
+    text = (
+        f'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "{AREA} mm^2"\n'
+        f'length = "{LENGTH} mm"\n[material]\nmodel = "neo-hookean"\nincompressible = true\n'
+    )
+    text += _test("tension", "a.csv", 'displacement = "d", force = "f"',
+                  'displacement = "mm", force = "N"')  # fmt: skip
+    cases = [("machine", 0.05), ("machine", 0.1), ("machine", 0.2)]
+    cases += [(fault, share) for fault in ("preload", "offset") for share in (0.02, 0.04, 0.08)]
+    for (fault, share), level in product(cases, (0.002, 0.01, 0.03)):
+        d, force = _tension(fault, share)
+        values, said = [], Counter[str]()
+        with tempfile.TemporaryDirectory() as name:
+            path = _file(Path(name), "c.toml", text)
+            for _ in range(draws):
+                _rows(Path(name), "a.csv", "d,f", d, force + noise("white", force, level, rng))
+                with contextlib.redirect_stderr(io.StringIO()):
+                    made = study.calibrate(path, data=Path(name))
+                values.append(made.fit.values[0] / C10)
+                said["described"] += made.adequacy.verdict == "describes"
+                said["warned of an offset"] += "offset?" in " ".join(made.warnings)
+        shown = ", ".join(f"{what} in {n}" for what, n in sorted(said.items()))
+        print(f"{fault} {100 * share:g} %, {100 * level:g} % noise: C10 {np.mean(values):.3f} of "
+              f"the truth, {shown} of {draws}", flush=True)  # fmt: skip
+
+
 def main() -> None:
     """Print what the arguments ask for."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("what", choices=("energies", "coverage", "drift"))
+    parser.add_argument("what", choices=("energies", "coverage", "drift", "setup"))
     parser.add_argument("draws", type=int)
     parser.add_argument("--only", choices=tuple(TRUTHS), help="one truth of the energies")
     asked = parser.parse_args()
     if asked.what == "energies":
         energies(asked.draws, asked.only)
     else:
-        {"coverage": coverage, "drift": drift}[asked.what](asked.draws)
+        {"coverage": coverage, "drift": drift, "setup": setup}[asked.what](asked.draws)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ resolved.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -74,6 +75,14 @@ class NuisanceInput:
     each: Annotated[str, Reads(choice("curve", "test", "all"))] = None  # type: ignore[assignment]
     #: Whether the uncertainty is a share of the value.
     relative: Annotated[bool, DERIVED] = False
+
+    @property
+    def reach(self) -> float:
+        """Distance from zero within which the parameter lies, by three standard uncertainties."""
+        if self.uncertainty is None:
+            return math.inf
+        value = abs(self.value or 0.0)
+        return value + 3 * self.uncertainty * (value if self.relative else 1.0)
 
 
 def nuisance_from(table: object, path: str, faults: Faults) -> dict[str, NuisanceInput]:

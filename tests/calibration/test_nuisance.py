@@ -260,3 +260,23 @@ def test_an_offset_is_found_wherever_its_prior_lets_it_be(tmp_path, sigmas):
         assert abs(zero.value - 0.15) < 4 * zero.standard_error
         assert abs(found.fit.values[0] - 5e-3) < 4 * found.fit.standard_error[0]
         assert found.fit.standard_error[0] < 0.03 * 5e-3
+
+
+def test_a_test_may_begin_late_where_its_offset_is_fitted(tmp_path):
+    """Contact is 1 mm behind the recorded zero, two standard deviations; 12.5 mm is a position."""
+    text = 'displacement_offset = "0.5 mm"'
+    for late, is_read in ((1.0, True), (12.5, False)):
+        d = np.linspace(0.05, 9.0, 60)
+        material = Material("neo-hookean", {"C10": 5e-3}, incompressible=True)
+        force = -np.pi * 25**2 * response(material, "uniaxial", 1 - d / 30).stress
+        force = force + 0.02 * np.random.default_rng(1).normal(size=d.size)
+        rows = "\n".join(f"{a + late:.9g},{b:.9g},1" for a, b in zip(d, force, strict=True))
+        (tmp_path / "a.csv").write_text(f"d,f,r\n{rows}\n", encoding="utf-8")
+        path = nuisance(tmp_path, text, {"points": '"raw"'}, "neo-hookean", "")
+        if not is_read:
+            with pytest.raises(InputError, match="no specimen that is unloaded at 0 mm"):
+                api.calibrate(path, data=tmp_path)
+            continue
+        fitted = api.calibrate(path, data=tmp_path).fit
+        assert abs(fitted.nuisance[0].value + late) < 4 * fitted.nuisance[0].standard_error
+        assert abs(fitted.values[0] - 5e-3) < 4 * fitted.standard_error[0]

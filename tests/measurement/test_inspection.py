@@ -415,3 +415,46 @@ def test_the_column_of_remarks_that_no_row_has(tmp_path):
     (tmp_path / "c.toml").write_text(calibration(looked.toml, "tension"))
     fitted = study.calibrate(tmp_path / "c.toml", data=tmp_path).fit
     assert fitted.values == pytest.approx([C10], rel=1e-4)
+
+
+@pytest.mark.parametrize("travel", [1.0, 1.6, "compliant"])
+def test_a_strain_beside_the_way_of_the_machine_is_named(tmp_path, travel):
+    way = UP + force(UP) / 5.0 if travel == "compliant" else travel * UP
+    rows = "".join(
+        f"{x},{100 * d / LENGTH},{f},{1000 * f / AREA}\n"
+        for x, d, f in zip(way, UP, force(UP), strict=True)
+    )
+    (tmp_path / "a.csv").write_text(
+        "Crosshead (mm),Extensometer (strain) [%],Load (N),Stress (kPa)\n" + rows
+    )
+    notes = " ".join(inspect(tmp_path / "a.csv").notes)
+    assert f"'Stress (kPa)' is 'Load (N)' over {AREA:g} mm^2: is that the area" in notes
+    if travel == "compliant":
+        assert "is in no proportion to 'Crosshead (mm)', in which frame, load cell" in notes
+    else:
+        assert f"is 'Crosshead (mm)' over {travel * LENGTH:g} mm: is that the length" in notes
+
+
+@pytest.mark.parametrize("kind", ["tension", "compression"])
+def test_the_machine_that_would_lower_moduli_by_a_hundredth_is_told(tmp_path, kind):
+    """Of that stiffness the fit is off by 1 %, and the model still describes the rows."""
+    sense = 1.0 if kind == "tension" else -1.0
+    (tmp_path / "c.toml").write_text(
+        calibration(
+            '[measurements]\nfile = "a.csv"\ncolumns = { displacement = "d", force = "f" }\n'
+            'units = { displacement = "mm", force = "N" }',
+            kind,
+        )
+    )
+    resists = force(UP, sense)
+    fitted, noise = [], np.random.default_rng(1).normal(size=UP.size)
+    stiffness = np.inf
+    for _ in range(2):
+        rows = zip(UP + resists / stiffness, resists + 0.01 * resists.max() * noise, strict=True)
+        (tmp_path / "a.csv").write_text("d,f\n" + "".join(f"{d},{f}\n" for d, f in rows))
+        made = study.calibrate(tmp_path / "c.toml", data=tmp_path)
+        fitted.append(made.fit.values[0])
+        assert made.adequacy.verdict == "describes"
+        (note,) = [note for note in made.notes if "grips" in note]
+        stiffness = float(re.search(r"grips of ([\d.]+) N/mm", note)[1])
+    assert 1 - fitted[1] / fitted[0] == pytest.approx(0.01, rel=0.1)

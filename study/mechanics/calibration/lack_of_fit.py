@@ -554,7 +554,7 @@ def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding
         out.append((grade, why, ()))
     # each direction of a biaxial test has a load cell of its own
     alone = [group[0] for group in groups if len(group) == 1 and group[0].states is None]
-    drifts = [_drift_of_one(fit, r) for r in alone if not (out or stepped)]
+    drifts = [_shift_of_one(fit, r) for r in alone if not (out or stepped)]
     return [*out, *((1, why, ()) for why in (*stepped, *drifts) if why)]
 
 
@@ -692,24 +692,35 @@ def _trend_of_one(fit: Fit, recording: _Recording) -> tuple[float, Array, float]
     return p, recording.weight * line / size, float(line @ line)
 
 
-def _drift_of_one(fit: Fit, recording: _Recording) -> str:
-    """Say by how much a drift in proportion to time moves the constants, if beyond an interval.
+def _shift_of_one(fit: Fit, recording: _Recording) -> str:
+    """Say by how much a drift in proportion to time, or a zero, moves constants beyond an interval.
 
-    Constants take up most of such a drift, so that little of it is left in the residuals: with 5 %
+    Constants take up most of a drift, so that little of it is left in the residuals: with 5 %
     of the largest force and noise of .2 % of it, one constant and 40 rows, it is seen in 7 of 8
     tests (100 rows: in all), beside noise of 1 % in 1 of 80, with two constants and 100 rows in 3
     of 8 (``validation/calibrations.py``).
     """
     if (counted := _by_noise(fit, recording)) is None:
         return ""
-    drift = _changed_by(fit, recording, *counted, np.linspace(0, 1, counted[0].size))
-    if drift.p >= _CLEAR or drift.share < _DRIFTS or not drift.beyond > 1:
+    rows = counted[0].size
+    drift, zero = (
+        _changed_by(fit, recording, *counted, change)
+        for change in (np.linspace(0, 1, rows), np.ones(rows))
+    )
+    change = min(drift, zero, key=lambda each: each.p)
+    if change.p >= _CLEAR or change.share < _DRIFTS or not change.beyond > 1:
         return ""
+    share = f"{100 * change.share:.2g} % of its largest value ({p_phrase(change.p)})"
+    moves = f"which moves {change.constant} by {change.percent:.2g} %, beyond its interval"
+    if change is drift:
+        return (
+            f"{recording.label}: the residuals are those of a force that drifts by {share}, {moves}"
+            ": compare the load cell's readings before and after the test, or take another energy"
+        )
     return (
-        f"{recording.label}: the residuals are those of a force that drifts by "
-        f"{100 * drift.share:.2g} % of its largest value ({p_phrase(drift.p)}), which moves "
-        f"{drift.constant} by {drift.percent:.2g} %, beyond its interval: compare the load cell's "
-        "readings before and after the test, or take another energy"
+        f"{recording.label}: the residuals are those of a force with a zero that is off by {share}"
+        f', {moves}: write zero = "first" or "fit", or displacement_zero where the specimen was '
+        "preloaded or met late, or take another energy"
     )
 
 

@@ -37,6 +37,8 @@ MIN_ROWS = 3
 EQUAL_MM = 1e-9
 #: force of the unloaded specimen over the largest one, from which a zero is asked for
 OFFSET_SHARE = 0.02
+#: standard errors of the line through the first rows beyond which its start is none of noise
+_BEYOND_ERROR = 2.5
 #: share of the range by which raw rows may end before it without a word
 _SHORT = 0.02
 #: times that a test may go further than its range and still be a test for it
@@ -75,6 +77,8 @@ class Rules:
     judges_slack: bool = False
     #: Whether an uncertain contact may be declared, and is not yet.
     asks_offset: bool = False
+    #: How far from the recorded zero the fitted one may lie.
+    zero_within_mm: float = 0.0
 
     @property
     def is_raw(self) -> bool:
@@ -560,7 +564,7 @@ def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> Non
     is_early = first < -_STARTS_EARLY * travel and _RISEN * largest < min(
         _rises(d[d <= 0], f[d <= 0]), at_zero
     )
-    if not is_late and not is_early:
+    if abs(first) <= rules.zero_within_mm or not (is_late or is_early):
         return
     at = way * float(d[0])
     turned = float((f - f[0]).max()) < -float((f - f[0]).min())
@@ -684,8 +688,8 @@ def _first_tenth(d: Array, f: Array) -> tuple[Array, Array]:
 def _offset(d: Array, f: Array, rules: Rules) -> float | None:
     """Share of the largest force that is there before the specimen is loaded; None if it is small.
 
-    Both the first reading and the straight line through the first tenth of the travel must say so:
-    the one alone may be noise, the other the curvature of a sound test.
+    Both the first reading and the straight line through the first tenth of the travel must say so,
+    beyond its error: the one alone may be noise, the other the curvature of a sound test.
     """
     first = int(np.argmin(d))
     if rules.spec.zero != "none" or rules.spec.toe is not None:
@@ -695,7 +699,11 @@ def _offset(d: Array, f: Array, rules: Rules) -> float | None:
     largest = float(np.abs(f).max())
     shares = sorted((float(f[first]) / largest, _zero(d, f, "fit") / largest), key=abs)
     same = shares[0] * shares[1] > 0
-    return shares[0] if same and abs(shares[0]) > OFFSET_SHARE else None
+    x, y = _first_tenth(d, f)
+    steep = slope_with_error(x, y)[1]
+    error = steep * float(np.hypot(x[0] - x.mean(), x.std())) / largest
+    is_clear = abs(_zero(d, f, "fit")) / largest > _BEYOND_ERROR * error
+    return shares[0] if same and is_clear and abs(shares[0]) > OFFSET_SHARE else None
 
 
 def _sorted_unique(d: Array, f: Array, counts: Counter[str]) -> tuple[Array, Array]:

@@ -25,7 +25,7 @@ from study.ground.bounded_file import (
 from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
-from study.ground.units import INTERNAL
+from study.ground.units import INTERNAL, unit_factor
 from study.mechanics.measurement.conditioning import OFFSET_SHARE, slack_end, slope_with_error
 from study.mechanics.measurement.measurement_section import DELIMITERS, KINEMATIC, KINETIC
 from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
@@ -183,6 +183,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         table["sheet"] = sheet
     table |= _layout(block, notes)
     chosen = _pair(columns, notes)
+    notes += _sizes_assumed(columns, chosen, numbers_of)
     units = {q: _unit_for(columns[k], q, numbers_of[k], words[k], notes) for q, k in chosen.items()}
     is_twice = max(Counter(filter(None, block.names)).values(), default=0) > 1
     if is_twice or len(block.names) > max(map(len, block.rows)):
@@ -464,6 +465,45 @@ def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int
                 notes.append(f"{taken}; there are also {others}")
             break
     return chosen
+
+
+#: two measures in one file, the size of the specimen by which they differ, and what else may differ
+_SECOND = (
+    ("displacement", "strain", "length", "mm",
+     "in which frame, load cell and grips give way: name the strain in columns if it was measured "
+     "on the specimen"),
+    ("force", "stress", "area", "mm^2", "as a true stress is not: which is it?"),
+)  # fmt: skip
+#: share of its range by which a column may be off a straight line of another one
+_STRAIGHT = 2e-3
+
+
+def _sizes_assumed(
+    columns: Sequence[InspectedColumn], chosen: Mapping[str, int], numbers: Sequence[Array]
+) -> list[str]:
+    """Say by which length the strain of a file is its displacement, and by which area its stress.
+
+    A strain that is in no proportion to the way of the machine was measured on the specimen.
+    """
+    notes: list[str] = []
+    for first, second, size, unit, otherwise in _SECOND:
+        taken = columns[chosen[first]] if first in chosen else None
+        if taken is None or not taken.unit:
+            continue
+        y = numbers[chosen[first]] * unit_factor(taken.unit, DIMENSIONS[first])
+        for column, values in zip(columns, numbers, strict=True):
+            if column.quantity != second or not column.unit or column.low == column.high:
+                continue
+            x = values * unit_factor(column.unit, DIMENSIONS[second])
+            slope, start = np.polyfit(x, y, 1)
+            is_straight = np.abs(y - start - slope * x).max() <= _STRAIGHT * np.ptp(y)
+            notes.append(
+                f"{column.name!r} is {taken.name!r} over {abs(slope):.4g} {unit}: is that the "
+                f"{size} of the specimen?"
+                if is_straight
+                else f"{column.name!r} is in no proportion to {taken.name!r}, {otherwise}"
+            )
+    return notes
 
 
 def _numbered(

@@ -52,20 +52,21 @@ def read_measurements(
     recordings: Recordings | None = None,
     *,
     own_rows: bool = False,
-    fits_zero: bool = False,
+    zero_within_mm: float | None = None,
 ) -> Measurements:
     """Read, check and condition all tests that a specification names.
 
-    With ``own_rows``, raw rows of each test may lie at other displacements; with ``fits_zero``,
-    where displacement counts from is fitted.
+    With ``own_rows``, raw rows of each test may lie at other displacements; within
+    ``zero_within_mm`` of the recorded zero it is fitted where displacement counts from.
     """
     both_ways = gauge is not None and gauge.is_homogeneous
     rules = rules_of(spec, height_mm, displacement_mm, both_ways=both_ways)
     rules = usual = replace(
         rules,
         # closed forms of indentation find contact themselves, and come another way
-        judges_slack=gauge is not None and not fits_zero,
-        asks_offset=own_rows and not fits_zero,
+        judges_slack=gauge is not None and zero_within_mm is None,
+        asks_offset=own_rows and zero_within_mm is None,
+        zero_within_mm=zero_within_mm or 0.0,
         is_signed=both_ways and (spec.range is None or rules.low_mm < 0),
     )
     recorded = recordings or read_recordings(spec, Path(root))

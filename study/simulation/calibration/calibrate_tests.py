@@ -29,6 +29,7 @@ from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check
 from study.mechanics.measurement.conditioning import is_caution
+from study.mechanics.measurement.reading import first_notes
 from study.mechanics.measurement.recording import LARGEST_STRETCH
 from study.simulation import fit_task
 from study.simulation.calibration.calibration_bound import estimated_bound, with_numerical
@@ -37,6 +38,7 @@ from study.simulation.calibration.measured_tests import (
     FitCurve,
     in_order,
     left_out,
+    machine_notes,
     of_specimens,
     parts_of,
     read_tests,
@@ -239,6 +241,7 @@ def calibrate(
         result = replace(result, next_tests=next_tests(fit, curves, result.material, setting.tests))
     parts, judged = parts_of(setting.tests, in_order(curves)), named_open(fit, others)
     numerical = estimated_bound(fit, parts, done.models) if fit.converged else None
+    by_machine = first_notes(machine_notes(setting.tests, result.curves))
     result = replace(
         result,
         fit=judged if numerical is None else with_numerical(judged, numerical),
@@ -253,7 +256,12 @@ def calibrate(
         else None,
         starts=starts,
         minima=tuple(minimum.fit for minimum in (done, *others)),
-        notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
+        notes=(
+            *notes,
+            *by_machine,
+            *setting.moved,
+            *(() if starts is None else (starts.sentence,)),
+        ),
         warnings=(*(note for note in notes if is_caution(note)), *result.warnings),
         seconds=time.perf_counter() - began,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -74,10 +75,10 @@ def read_tests(
     curves: list[FitCurve] = []
     notes: list[str] = []
     for number, test in enumerate(tests):
-        setup = test.problem.setup
+        setup, offset = test.problem.setup, test.nuisance.get(OFFSET)
         data = checked(read_measurements(
             test.measurements, root, setup.height_mm, setup.test.displacement_mm, gauge_of(setup),
-            own_rows=True, fits_zero=OFFSET in test.nuisance,
+            own_rows=True, zero_within_mm=None if offset is None else offset.reach,
         ), setup)  # fmt: skip
         notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
@@ -188,6 +189,34 @@ def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
     return [
         f"the forces of {large} are {ratio:.3g} times those of {small}, which hardly count at "
         "these weights: write weight = 'scatter' or a number"
+    ]
+
+
+def machine_notes(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[str]:
+    """Say from which stiffness on a machine in series would lower the moduli of a test by 1 %.
+
+    A machine of stiffness K takes F / K of the displacement d, so that F(d - F / K) is fitted: to
+    first order, least squares lower a modulus by the mean of F^2 dF/dd over K times that of F^2.
+    """
+    least: dict[str, float] = {}
+    for curve in curves:
+        is_machine = tests[curve.test].measurements.columns.kinematic == "displacement"
+        if curve.predicted is None or curve.role != "fit" or not is_machine:
+            continue
+        if curve.curve.time_s is not None:  # a course that may stand still has no slope
+            continue
+        d = curve.curve.displacement_mm
+        force = curve.predicted.force_at(d)
+        slope = np.gradient(force, d)
+        stiffness = float(force**2 @ slope / (force @ force))
+        least[curve.file] = max(100 * stiffness, least.get(curve.file, 0.0))
+    plain = partial(np.format_float_positional, precision=3, fractional=False, trim="-")
+    return [
+        f"{file}: displacement counts as the specimen's: frame, load cell and grips of "
+        f"{plain(stiffness)} N/mm in series with it would lower moduli by 1 %, which residuals "
+        "hardly show"
+        for file, stiffness in least.items()
+        if stiffness > 0
     ]
 
 
