@@ -58,7 +58,13 @@ class LinearSolver(Protocol):
         """How many back-substitutions a factorization costs, by counts; 0 before the first."""
 
     def negative_pivots(self) -> int | None:
-        """Negative eigenvalues of the last factorized matrix (Sylvester); None if not known."""
+        """Negative eigenvalues of the matrix that the factors make (Sylvester); None if not known.
+
+        It is the last factorized one, but for pivots that were perturbed.
+        """
+
+    def unperturbed(self) -> bool:
+        """Whether every pivot was large enough."""
 
 
 def pardiso_available() -> bool:
@@ -130,6 +136,10 @@ class SuperLU(LinearSolver):
         if factors is None or not np.array_equal(factors.perm_r, factors.perm_c):
             return None
         return int(np.count_nonzero(factors.U.diagonal() < 0))
+
+    def unperturbed(self) -> bool:
+        """Whether every pivot was large enough: SuperLU perturbs none."""
+        return True
 
 
 #: PARDISO's number for real, symmetric, indefinite matrices
@@ -283,7 +293,7 @@ class Pardiso(LinearSolver):
         except SingularMatrixError:
             if self.exact:
                 raise
-        if not self.exact and not (self._analyzed and self._unperturbed()):
+        if not self.exact and not (self._analyzed and self.unperturbed()):
             self.sharpen()
             self._factorize(data)
 
@@ -302,7 +312,7 @@ class Pardiso(LinearSolver):
         x = self._call(_SOLVE, b)
         if not self.exact:
             return x.astype(np.float64)
-        if self._matching or self._trusted or self._unperturbed() or self._solved(x, b):
+        if self._matching or self._trusted or self.unperturbed() or self._solved(x, b):
             self._trusted = True
             return x
         self._matching = True
@@ -311,7 +321,7 @@ class Pardiso(LinearSolver):
         self._factorize(self._data)
         return self._call(_SOLVE, b)
 
-    def _unperturbed(self) -> bool:
+    def unperturbed(self) -> bool:
         """Whether every pivot was large enough."""
         return int(self._iparm[_PERTURBED - 1]) == 0
 
@@ -337,9 +347,8 @@ class Pardiso(LinearSolver):
         return _BESIDES + 1e6 * millions / (_PER_ENTRY * read)
 
     def negative_pivots(self) -> int | None:
-        """Count of MKL, 2 x 2 pivots included; a perturbed pivot may have lost its sign."""
-        certain = self._analyzed and self._unperturbed()
-        return int(self._iparm[_NEGATIVE - 1]) if certain else None
+        """Count of MKL, 2 x 2 pivots and perturbed ones included."""
+        return int(self._iparm[_NEGATIVE - 1]) if self._analyzed else None
 
     def close(self) -> None:
         """Release the memory that MKL holds for this factorization."""
