@@ -48,6 +48,9 @@ class LinearSolver(Protocol):
         """Go back to the precision it began with."""
         return
 
+    def weigh(self, weights: Array | None) -> None:
+        """Factorize D A D from the next matrix A on, D = diag(weights), powers of two (n,)."""
+
     def factorize(self, data: Array) -> None:
         """Factorize the matrix with these entries of the pattern."""
 
@@ -102,6 +105,9 @@ class SuperLU(LinearSolver):
         self._source = full.data.astype(np.int64) - 1
         self._matrix = full
         self._factors: Factors | None = None
+
+    def weigh(self, weights: Array | None) -> None:
+        """No need: pivots are compared within their column, and none is perturbed."""
 
     def factorize(self, data: Array) -> None:
         """Factorize with minimum degree on A + A' and a small pivot threshold."""
@@ -262,6 +268,7 @@ class Pardiso(LinearSolver):
         self._phase, self._columns = ctypes.c_int32(0), ctypes.c_int32(0)
         self._failed = ctypes.c_int32(0)
         self._matching = self._trusted = False
+        self._weights: Array | None = None
         self._usually_exact = not (corrected and self._size > _SINGLE[plane])
         self._set_precision(self._usually_exact)
 
@@ -273,6 +280,10 @@ class Pardiso(LinearSolver):
         self._handle[:] = 0
         self._matrix = self._arguments()
         self._analyzed = False
+
+    def weigh(self, weights: Array | None) -> None:
+        """Pivots are compared with the largest entry of the matrix, whatever its units."""
+        self._weights = weights
 
     def sharpen(self) -> None:
         """Go over to double precision; the next factorization begins with an analysis."""
@@ -288,6 +299,9 @@ class Pardiso(LinearSolver):
 
     def factorize(self, data: Array) -> None:
         """Numerical factorization, after the analysis the first time."""
+        if self._weights is not None:
+            rows = np.repeat(self._weights, np.diff(self._indptr))
+            data = rows * data * self._weights[self._indices]
         try:
             self._factorize(data)
         except SingularMatrixError:
@@ -308,6 +322,12 @@ class Pardiso(LinearSolver):
 
     def solve(self, right: Array) -> Array:
         """Back-substitution for one or several right-hand sides, exact or not."""
+        if self._weights is None:
+            return self._solved_by_factors(right)
+        solution = self._solved_by_factors((right.T * self._weights).T)
+        return np.asarray((solution.T * self._weights).T)
+
+    def _solved_by_factors(self, right: Array) -> Array:
         b = np.asfortranarray(right, dtype=self._data.dtype)
         x = self._call(_SOLVE, b)
         if not self.exact:
