@@ -61,13 +61,10 @@ class LinearSolver(Protocol):
         """How many back-substitutions a factorization costs, by counts; 0 before the first."""
 
     def negative_pivots(self) -> int | None:
-        """Negative eigenvalues of the matrix that the factors make (Sylvester); None if not known.
-
-        It is the last factorized one, but for pivots that were perturbed.
-        """
+        """Negative eigenvalues of the matrix that factors make (Sylvester); None if not known."""
 
     def unperturbed(self) -> bool:
-        """Whether every pivot was large enough."""
+        """Whether every pivot was large enough, so that they make the matrix factorized."""
 
 
 def pardiso_available() -> bool:
