@@ -49,6 +49,25 @@ def test_bonded_disc(ratio, nu, order):
     assert apparent_modulus(ratio, nu, order) == pytest.approx(TABLE_C[ratio][nu], rel=tolerance)
 
 
+@pytest.mark.parametrize(
+    ("modulus", "length"), [(1e-12, 1.0), (1e-9, 1.0), (1e9, 1.0), (1.0, 1e-6), (1.0, 1e6)]
+)
+@pytest.mark.parametrize("order", ["linear", "quadratic"])
+def test_forces_scale_with_moduli_and_squares_of_lengths(modulus, length, order):
+    """An incompressible disc of 1 mPa had half its force, "every step converged"."""
+
+    def force(E, L):
+        material = Material("neo-hookean", {"C10": 0.01 * E}, incompressible=True)
+        disc = compression(
+            Cylinder(10 * L, 8 * L), 1.5 * L, material=material, steps=3, element_order=order,
+            element_shape="tensor", mesh="coarse",
+        )  # fmt: skip
+        return forces(disc)
+
+    expected = modulus * length**2 * force(1.0, 1.0)
+    np.testing.assert_allclose(force(modulus, length), expected, rtol=1e-7)
+
+
 #: V25, F / (pi R^2 mu0) at 5, 10 and 20 % (other-code, without side contact)
 FINITE_STRAIN = {
     0.5: (0.18886, 0.39782, 0.8809),

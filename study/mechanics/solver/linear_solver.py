@@ -48,6 +48,9 @@ class LinearSolver(Protocol):
         """Go back to the precision it began with."""
         return
 
+    def weigh(self, weights: Array | None) -> None:
+        """Factorize D A D from the next matrix A on, D = diag(weights), powers of two (n,)."""
+
     def factorize(self, data: Array) -> None:
         """Factorize the matrix with these entries of the pattern."""
 
@@ -58,7 +61,10 @@ class LinearSolver(Protocol):
         """How many back-substitutions a factorization costs, by counts; 0 before the first."""
 
     def negative_pivots(self) -> int | None:
-        """Negative eigenvalues of the last factorized matrix (Sylvester); None if not known."""
+        """Negative eigenvalues of the matrix that factors make (Sylvester); None if not known."""
+
+    def unperturbed(self) -> bool:
+        """Whether every pivot was large enough, so that they make the matrix factorized."""
 
 
 def pardiso_available() -> bool:
@@ -97,6 +103,9 @@ class SuperLU(LinearSolver):
         self._matrix = full
         self._factors: Factors | None = None
 
+    def weigh(self, weights: Array | None) -> None:
+        """No need: pivots are compared within their column, and none is perturbed."""
+
     def factorize(self, data: Array) -> None:
         """Factorize with minimum degree on A + A' and a small pivot threshold."""
         from scipy.sparse.linalg import splu
@@ -130,6 +139,10 @@ class SuperLU(LinearSolver):
         if factors is None or not np.array_equal(factors.perm_r, factors.perm_c):
             return None
         return int(np.count_nonzero(factors.U.diagonal() < 0))
+
+    def unperturbed(self) -> bool:
+        """Whether every pivot was large enough: SuperLU perturbs none."""
+        return True
 
 
 #: PARDISO's number for real, symmetric, indefinite matrices
@@ -252,6 +265,7 @@ class Pardiso(LinearSolver):
         self._phase, self._columns = ctypes.c_int32(0), ctypes.c_int32(0)
         self._failed = ctypes.c_int32(0)
         self._matching = self._trusted = False
+        self._weights: Array | None = None
         self._usually_exact = not (corrected and self._size > _SINGLE[plane])
         self._set_precision(self._usually_exact)
 
@@ -263,6 +277,10 @@ class Pardiso(LinearSolver):
         self._handle[:] = 0
         self._matrix = self._arguments()
         self._analyzed = False
+
+    def weigh(self, weights: Array | None) -> None:
+        """Pivots are compared with the largest entry of the matrix, whatever its units."""
+        self._weights = weights
 
     def sharpen(self) -> None:
         """Go over to double precision; the next factorization begins with an analysis."""
@@ -278,12 +296,15 @@ class Pardiso(LinearSolver):
 
     def factorize(self, data: Array) -> None:
         """Numerical factorization, after the analysis the first time."""
+        if self._weights is not None:
+            rows = np.repeat(self._weights, np.diff(self._indptr))
+            data = rows * data * self._weights[self._indices]
         try:
             self._factorize(data)
         except SingularMatrixError:
             if self.exact:
                 raise
-        if not self.exact and not (self._analyzed and self._unperturbed()):
+        if not self.exact and not (self._analyzed and self.unperturbed()):
             self.sharpen()
             self._factorize(data)
 
@@ -298,11 +319,17 @@ class Pardiso(LinearSolver):
 
     def solve(self, right: Array) -> Array:
         """Back-substitution for one or several right-hand sides, exact or not."""
+        if self._weights is None:
+            return self._solved_by_factors(right)
+        solution = self._solved_by_factors((right.T * self._weights).T)
+        return np.asarray((solution.T * self._weights).T)
+
+    def _solved_by_factors(self, right: Array) -> Array:
         b = np.asfortranarray(right, dtype=self._data.dtype)
         x = self._call(_SOLVE, b)
         if not self.exact:
             return x.astype(np.float64)
-        if self._matching or self._trusted or self._unperturbed() or self._solved(x, b):
+        if self._matching or self._trusted or self.unperturbed() or self._solved(x, b):
             self._trusted = True
             return x
         self._matching = True
@@ -311,7 +338,7 @@ class Pardiso(LinearSolver):
         self._factorize(self._data)
         return self._call(_SOLVE, b)
 
-    def _unperturbed(self) -> bool:
+    def unperturbed(self) -> bool:
         """Whether every pivot was large enough."""
         return int(self._iparm[_PERTURBED - 1]) == 0
 
@@ -337,9 +364,8 @@ class Pardiso(LinearSolver):
         return _BESIDES + 1e6 * millions / (_PER_ENTRY * read)
 
     def negative_pivots(self) -> int | None:
-        """Count of MKL, 2 x 2 pivots included; a perturbed pivot may have lost its sign."""
-        certain = self._analyzed and self._unperturbed()
-        return int(self._iparm[_NEGATIVE - 1]) if certain else None
+        """Count of MKL, 2 x 2 pivots and perturbed ones included."""
+        return int(self._iparm[_NEGATIVE - 1]) if self._analyzed else None
 
     def close(self) -> None:
         """Release the memory that MKL holds for this factorization."""

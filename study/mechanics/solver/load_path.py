@@ -188,6 +188,8 @@ class LoadPath:
         #: displacements at which the surface snapped to another equilibrium, mm
         self.snaps: list[float] = []
         self.min_j, self.reason = 1.0, ""
+        #: where snaps have lost much of the energy; empty where they have not
+        self.collapse = ""
         self.instability: Instability | None = None
         self._known_to_stand, self._local_surplus = 0.0, 0
         self._reach_of: tuple[State, str] | None = None
@@ -202,6 +204,7 @@ class LoadPath:
             if not self._advance(target, _LOAD_PATH_HALVINGS):
                 break
             self.progress(target / self.problem.test.depth_mm)
+        self._end_at_a_collapse()
         error, fills = self.options.curve_error, not (self._follows or self.system.sticks)
         if error and fills and self._complete:
             self._fill_in(error)
@@ -267,6 +270,32 @@ class LoadPath:
         if self._at(self._whole_mm) and has_inertia_of_factors(self.system):
             self._known_to_stand = self.state.displacement_mm
         return False
+
+    def _end_at_a_collapse(self) -> None:
+        """Drop the steps from where snaps of a body between plates have lost much of its energy.
+
+        Under an indenter the points of a coarse mesh that meet it at once lose as much.
+        """
+        if not self.snaps or len(self.steps) < 2 or self._lift() is None:
+            return
+        mismatch, reached = self._balance()[0].mismatch, np.array(self._reached)
+        lost = np.diff(mismatch)
+        snaps = np.searchsorted(np.sort(self.snaps), reached)
+        lost_share = np.abs(np.cumsum(np.where(np.diff(snaps) > 0, lost, 0.0)))
+        if not (beyond := np.flatnonzero(lost_share > _MUCH_LOST)).size:
+            return
+        first = int(beyond[0]) + 1
+        snap_mm = max(mm for mm in self.snaps if mm < reached[first])
+        self.collapse = (
+            f"past {snap_mm:.3g} mm the specimen snapped to another equilibrium, and "
+            f"{100 * lost_share[beyond[0]]:.2g} % of the energy was lost: the elements may have "
+            "given way, so try a smaller mesh_size, or press less deep"
+        )
+        del self.steps[first:]
+        self.snaps = [mm for mm in self.snaps if mm < reached[first - 1]]
+        self.reason, self.state = self.collapse, self.steps[-1].state
+        self.J = self.system.volume_ratios(self.state.x)
+        self.min_j = float(self.J.min())
 
     def _look_back(self) -> None:
         """Drop the steps from where the last one is unstable, or sways as no quarter can.
@@ -388,7 +417,7 @@ class LoadPath:
 
         Where a surface is about to snap, the way that led there decides whether it is passed.
         """
-        done = self._complete or self.instability is not None
+        done = self._complete or self.instability is not None or bool(self.collapse)
         return not done and not self._lost()
 
     def _reach(self, target: float) -> tuple[NewtonResult | None, int]:
@@ -568,7 +597,8 @@ class LoadPath:
     def _why(self) -> str:
         """Why the run went no further: a limit point is no failure of the iteration."""
         steps = self.steps
-        if self._complete or self.instability or self._lost() or not steps:
+        is_explained = self.instability or self.collapse or self._lost()
+        if self._complete or is_explained or not steps:
             return self.reason
         return gives_way(self.system, steps[0].state, self.state) or self.reason
 
@@ -662,7 +692,8 @@ class LoadPath:
         steps = np.flatnonzero(self._asked | (self.options.curve_error is not None))
         total = np.cumsum([0, *(step.iterations for step in self.steps)])[np.r_[0, steps + 1]]
         balance, work = self._balance()
-        curve, gave_way = self._curve(work), bool(lost) or self.instability is not None
+        curve = self._curve(work)
+        gave_way = bool(lost or self.collapse) or self.instability is not None
         status = "converged" if self._complete else "unstable" if gave_way else "not-converged"
         if self._complete and self._apart():
             status = "lost-contact"
@@ -707,8 +738,9 @@ class LoadPath:
             )
         if not self._complete:
             reached, depth = self.state.displacement_mm, self.problem.test.depth_mm
-            sentences = [f"stopped at {reached:.4g} mm of {depth:.4g} mm: {lost or self._why()}"]
-            if lost:
+            why = self.collapse or lost or self._why()
+            sentences = [f"stopped at {reached:.4g} mm of {depth:.4g} mm: {why}"]
+            if lost and not self.collapse:
                 sentences.append(_OUT_OF_REACH)
         elif apart := self._apart():
             sentences = [apart]

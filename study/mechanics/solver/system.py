@@ -40,6 +40,10 @@ from study.mechanics.solver.internal_force import (
 )
 from study.mechanics.solver.linear_solver import KeptFactors, LinearSolver, make_solver
 
+#: powers of two that the shear modulus over the size of an element, MPa/mm, may be away from one
+#: before pressures are weighed: an incompressible body of 1 mPa had half its force
+_MIXED_UNITS = 17
+
 # -------------------------------------------------------------------------------------------------
 # Values of the unknowns, and what is assembled and looked at there.
 
@@ -318,9 +322,21 @@ class System:
         began = time.perf_counter()
         if exact:
             self.solver.sharpen()
+        self.solver.weigh(self._weights())
         self.solver.factorize(self.data)
         self.factors.renewed(self.latest.touching)
         self._count("factorization", began)
+
+    def _weights(self) -> Array | None:
+        """Factors on the equations that bring pressures to the size of displacements.
+
+        None where they are near it: in MPa and mm they are of nearly all soft materials.
+        """
+        exponent = round(np.log2(self.material.mu0 / self.mesh.contact_size_mm))
+        if abs(exponent) <= _MIXED_UNITS:
+            return None
+        is_pressure = self.pattern.free >= self.space.n_displacement
+        return np.where(is_pressure, 2.0**exponent, 1.0)
 
     def solve(self, right: Array, scale: Array, tolerance: float, change: float) -> Array:
         """Solve with the last assembled tangent, by an older factorization where that pays.
