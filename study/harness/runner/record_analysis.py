@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,7 +25,7 @@ from study.harness.design.load import is_constant
 from study.harness.design.overview import SAMPLED, duplicates
 from study.harness.design.questions import usual_value
 from study.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.record.record import answered_often, is_repeat, table
+from study.record.record import answered_often, is_repeat, is_same_run, table
 from study.simulation import overlay
 from study.simulation.response import CURVE_RESPONSES
 from study.statistics.analysis.analysis_request import (
@@ -411,11 +411,7 @@ def surfaces(
     """Fit all responses over the ranges at every combination of levels, without unanswered runs."""
     if not is_numeric(design):
         return ()
-    # a replicate is a run as the first one is; another mesh or drawn noise repeats the same run
-    originals = [
-        record for record in records
-        if not is_repeat({name: v for name, v in record.extra.items() if name != "replicate"})
-    ]  # fmt: skip
+    originals = [record for record in records if not is_same_run(record.extra)]
     places, sizes = labels_of(design), [len(labels) for labels in design.lists.values()]
     kind = design.analysis.surface
     if kind == "auto" and design.scheme.kind == "morris":
@@ -427,19 +423,13 @@ def surfaces(
     surfaces_fitted: list[FittedSurface] = []
     for response in design.responses:
         half_width = _half_width(response.name, records, numerical)
-        factors, ends = _answered(design, response.name, originals)
-        here = [at_levels(originals, labels) for labels in places]
-        good = [[r for r in some if r.value(response.name) is not None] for some in here]
+        makers, lost, ends = makers_of_runs(design, response.name, originals, half_width)
         # each of two settings may be off by its own bound
         bound = None if half_width is None else 2.0 * half_width
         each = surfaces_at(
             FittedSurface(response.name, response.unit, None, bound=bound, units=units_of),
-            places, sizes, kind,
-            [partial(_runs_of_records, response.name, some, half_width, factors)
-             for some in good],
-            response.practical,
+            places, sizes, kind, makers, response.practical,
         )  # fmt: skip
-        lost = [len(some) - len(answered) for some, answered in zip(here, good, strict=True)]
         surfaces_fitted += compared(
             [_finished(design, runs, n, ends) for runs, n in zip(each, lost, strict=True)]
         )
@@ -460,13 +450,15 @@ def at_levels(records: Sequence[T], labels: Mapping[str, str]) -> list[T]:
     return [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
 
 
-def runs_at(
-    design: Design, response: str, labels: Mapping[str, str], records: Sequence[Record]
-) -> Runs:
-    """Return the runs of a response that have an answer, at one combination of other levels."""
-    good = [r for r in at_levels(records, labels)
-            if not is_repeat(r.extra) and r.value(response) is not None]  # fmt: skip
-    return _runs_of_records(response, good, None, ranges_of(design))
+def makers_of_runs(
+    design: Design, response: str, records: Sequence[Record], half_width: float | None = None
+) -> tuple[list[Callable[[], Runs]], list[int], tuple[str, ...]]:
+    """Makers of the runs at every combination of labels, how many have no answer, and notes."""
+    factors, ends = _answered(design, response, records)
+    here = [at_levels(records, labels) for labels in labels_of(design)]
+    good = [[r for r in some if r.value(response) is not None] for some in here]
+    lost = [len(some) - len(answered) for some, answered in zip(here, good, strict=True)]
+    return [partial(runs_of_records, response, r, half_width, factors) for r in good], lost, ends
 
 
 def _half_width(
@@ -549,7 +541,7 @@ def _end(name: str, side: str, value: float) -> str:
     return f"no run with {name} {side} {value:.4g} has an answer: nothing is said there"
 
 
-def _runs_of_records(
+def runs_of_records(
     response: str,
     records: Sequence[Record],
     half_width: float | None,

@@ -29,6 +29,7 @@ from study.statistics.surfaces.emulator import (
 )
 from study.statistics.surfaces.quadratic import fit_quadratic
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_optimum import Model
 from study.statistics.surfaces.surface_profile import (
     SCREENS,
     FittedSurface,
@@ -224,19 +225,8 @@ def surfaces_at(
     practical: Practical,
 ) -> list[FittedSurface]:
     """Surface at every combination of labels, or why there is none; raised without labels."""
-    every: list[Runs | StudyError] = []
-    for made_of in makers:
-        try:
-            every.append(made_of())
-        except StudyError as error:
-            every.append(error)
-    good, together = [table for table in every if isinstance(table, Runs)], None
-    if len(good) == len(places) == math.prod(sizes):
-        # what is wrong with a combination is said where it is fitted
-        with contextlib.suppress(StudyError):
-            together = fitted_together(good, sizes, surface)
     each = []
-    for k, (labels, runs) in enumerate(zip(places, every, strict=True)):
+    for labels, runs, model in zip(places, *models_at(sizes, surface, makers), strict=True):
         fitted_here = replace(blank, labels=labels)
         try:
             if not isinstance(runs, Runs):
@@ -246,8 +236,8 @@ def surfaces_at(
                 screened = elementary_effects(runs)
                 each.append(replace(fitted_here, refused=SCREENS, screened=screened))
                 continue
-            fit = fit_quadratic if kind_of(runs, surface) == "quadratic" else fit_own
-            model = fit(runs) if together is None else together[k]
+            if isinstance(model, StudyError):
+                raise model
             analysis = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
             each.append(replace(fitted_here, surface=analysis))
         except StudyError as error:
@@ -255,6 +245,35 @@ def surfaces_at(
                 raise
             each.append(replace(fitted_here, refused=str(error)))
     return each
+
+
+def models_at(
+    sizes: Sequence[int], surface: str, makers: Sequence[Callable[[], Runs]]
+) -> tuple[list[Runs | StudyError], list[Model | StudyError]]:
+    """Find runs and surface of every combination of labels, or why there are none."""
+    every: list[Runs | StudyError] = []
+    for made_of in makers:
+        try:
+            every.append(made_of())
+        except StudyError as error:
+            every.append(error)
+    good, together = [table for table in every if isinstance(table, Runs)], None
+    if len(good) == len(every) == math.prod(sizes):
+        # what is wrong with a combination is said where it is fitted
+        with contextlib.suppress(StudyError):
+            together = fitted_together(good, sizes, surface)
+    models: list[Model | StudyError] = []
+    for k, runs in enumerate(every):
+        try:
+            if not isinstance(runs, Runs):
+                raise runs
+            if surface == "morris":
+                raise RefusedError(SCREENS)
+            fit = fit_quadratic if kind_of(runs, surface) == "quadratic" else fit_own
+            models.append(fit(runs) if together is None else together[k])
+        except StudyError as error:
+            models.append(error)
+    return every, models
 
 
 def places_of(
