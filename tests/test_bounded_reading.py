@@ -33,7 +33,6 @@ WRITING = {"w", "wb", "x", "xb", "a", "ab"}
 #: place and call, and why it may: this list may only become shorter
 EXCEPTIONS = {
     ("study/ground/working_folder.py", "open"): "a handle of the folder to return to",
-    ("study/api/folders.py", "read_text"): "a file of the package",
     ("study/external/answers.py", "open"): "a process, which is no file",
     ("study/harness/design/load.py", "read_text"): "a file of the package",
     ("study/reporting/output/page.py", "read_text"): "a file of the package",

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.folders import RESULTS
 from study.api.predicting import (
     Permission,
     fit_surface,
@@ -24,9 +23,10 @@ from study.api.predicting import (
 from study.ground import tabular, units
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
+from study.harness.design.load import RESULTS
 from study.harness.design.questions import usual_value
 from study.harness.runner.adaptive_cells import joined
-from study.harness.runner.record_analysis import at_levels, coded_settings, ranges_of
+from study.harness.runner.record_analysis import at_levels, coded_settings
 from study.mechanics.calibration.serial_correlation import (
     FEWEST_ROWS,
     Series,
@@ -557,7 +557,7 @@ class _Inversion:
 
     def runs(self, records: Sequence[Record]) -> Runs:
         """Coded settings of runs."""
-        factors = ranges_of(self.study.design)
+        factors = tuple(self.study.design.ranges.values())
         coded = coded_settings(factors, [record.levels for record in records])
         return Runs("force", factors, coded, np.zeros(len(records)))
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study import api
-from study.api.folders import RESULTS, design_root
 from study.ground import tabular, units
 from study.ground.errors import Fault, InputError, RefusedError, nearest
+from study.harness.design.load import RESULTS, design_root
 from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress

@@ -408,6 +408,11 @@ class ForwardCell(ABC):
         return ()
 
     @property
+    def test_name(self) -> str:
+        """Name of its specimen, test and measurements, whatever the steps; "" without a test."""
+        return ""
+
+    @property
     def depth_mm(self) -> float | None:
         """How far its test goes; None where that is open, or there is no test."""
         return None

@@ -253,10 +253,8 @@ def is_repeat(extra: Mapping[str, object]) -> bool:
 
 
 def is_same_run(extra: Mapping[str, object]) -> bool:
-    """Whether a case is a run that counts already, on another mesh or with drawn noise.
-
-    A replicate of a stochastic simulation is a run of its own, as the first one is.
-    """
+    """Whether a case is a run that counts already, on another mesh or with drawn noise."""
+    # a replicate of a stochastic simulation is a run of its own, as the first one is
     return is_repeat({name: number for name, number in extra.items() if name != "replicate"})
 
 

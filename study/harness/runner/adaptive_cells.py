@@ -20,8 +20,7 @@ from study.ground.errors import Fault, InputError, RefusedError, StudyError
 from study.harness.design.factors import levels_at
 from study.harness.design.layout_kinds import share_of
 from study.harness.design.load import dump, loads
-from study.harness.design.spec import Design, Factor
-from study.harness.design.study_file import ResponseSpec, Sequential
+from study.harness.design.spec import Design, ResponseSpec, Sequential
 from study.harness.runner.batch import Progress, run_batch
 from study.harness.runner.case_series import COSTS
 from study.harness.runner.expansion import Work, expand, relabeled
@@ -30,7 +29,6 @@ from study.harness.runner.record_analysis import (
     coded_settings,
     labels_of,
     makers_of_runs,
-    ranges_of,
     runs_of_records,
 )
 from study.record.document import AdaptiveStep, ConfirmedRow, are_imported
@@ -48,7 +46,6 @@ from study.statistics.surfaces.emulator import (
     fit_own,
     next_run,
 )
-from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import difference_of, models_at
 from study.statistics.surfaces.surface_optimum import Model
 from study.statistics.surfaces.surface_result import analysis_of
@@ -56,8 +53,6 @@ from study.statistics.surfaces.surface_result import analysis_of
 
 def continued(design: Design, store: Store) -> Design:
     """Design with the cells that an earlier run of it has added."""
-    if design.scheme.sequential is None:
-        return design
     manifest = store.read_unfinished() or store.read_manifest()
     if manifest is None or code_of(manifest) != code_version():
         return design
@@ -94,14 +89,12 @@ _Fitted = tuple[dict[str, Emulator | BlockedEmulator], list[str]]
 def run_adaptive(
     work: Work,
     store: Store,
+    computed: int,
     compute: Callable[[Work], int],
     expanded: Callable[[Design], Work],
     note: Callable[[Work], None],
 ) -> tuple[Work, int]:
-    """Compute the cells of a design, and those that are added to it, until it says enough."""
-    computed = compute(work)
-    if work.design.scheme.sequential is None:
-        return work, computed
+    """Compute the cells that are added to those of a design, until it says enough."""
     size = len(work.design.treatments)
     history_rows = store.read_rows(HISTORY, AdaptiveStep)
     history: list[object] = [row for row in history_rows if row["cells"] < size]
@@ -130,6 +123,7 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     places, runs = labels_of(design), [r for r in ordered if not is_same_run(r.extra)]
     fitted: list[_Fitted] = [({}, []) for _ in places]
     step: AdaptiveStep = {"cells": len(design.treatments), "q2": {}, "open": [], "stopped": ""}
+    ranges, lowest = tuple(design.ranges.values()), dict[str, float]()
     for response in design.responses:
         if response.name in COSTS:  # nobody learns what a run costs
             continue
@@ -137,15 +131,16 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
             places, fitted, _judged(design, rule, response, runs), strict=True
         ):
             if q2 is not None:
-                step["q2"][response.name] = min(step["q2"].get(response.name, 1.0), q2)
+                lowest[response.name] = min(lowest.get(response.name, 1.0), q2)
             if not is_good:
                 still.append(response.name)
                 with suppress(StudyError):  # where none can be fitted runs are needed most
                     here = at_levels(runs, labels)
                     answered = [r for r in here if r.value(response.name) is not None]
                     emulators[response.name] = fit_own(
-                        runs_of_records(response.name, answered, None, ranges_of(design))
+                        runs_of_records(response.name, answered, None, ranges)
                     )
+    step["q2"] = {**lowest}
     step["open"] = list(dict.fromkeys(name for _, names in fitted for name in names))
     free = min(rule.batch, rule.budget - step["cells"])
     step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
@@ -199,7 +194,7 @@ def _chosen(
     """Choose cells one after the other, each as if those before it had been run."""
     from scipy.stats import qmc
 
-    size = len(design.ranges)
+    size, ranges = len(design.ranges), tuple(design.ranges.values())
     power = 1.0 if rule.until == "q2" else _SEARCHING
     unsure = [
         [Unsure(model.process, power) for name in names if name in models
@@ -208,7 +203,7 @@ def _chosen(
     ]  # fmt: skip
     # cells of each combination in the unit box, those without an answer too
     cells = [[cell.levels for cell in at_levels(design.treatments, labels)] for labels in places]
-    run_points = [0.5 * (coded_settings(ranges_of(design), some) + 1.0) for some in cells]
+    run_points = [0.5 * (coded_settings(ranges, some) + 1.0) for some in cells]
     points = [candidates(size, rule.seed + n) for n in range(len(places))]
     at = qmc.Sobol(size, seed=rule.seed + len(places)).random_base2(REFERENCES)
     # where nothing could be fitted comes first: it needs runs most
@@ -270,19 +265,16 @@ def code_of(manifest: Mapping[str, object]) -> str:
 
 def single_cell_design(design: Design, settings: Mapping[str, float | str]) -> Design:
     """Make a design of one cell, by numbers in its ranges and labels of the others."""
-    factors = tuple(_single(factor, settings[factor.name]) for factor in design.factors)
+    factors = []
+    for factor in design.factors:
+        setting, span = settings[factor.name], factor.span
+        levels = tuple(level for level in factor.levels if level.label == setting)
+        if span is not None:
+            share = 0.5 * (float(span.coded(np.array(float(setting)))) + 1.0)
+            levels = levels_at(span, [min(max(share, 0.0), 1.0)])
+        factors.append(replace(factor, levels=levels))
     scheme = replace(design.scheme, rows=((0,) * len(factors),), sequential=None)
-    return replace(design, factors=factors, exclusions=(), scheme=scheme)
-
-
-def _single(factor: Factor, setting: float | str) -> Factor:
-    span = factor.span
-    if span is None:
-        matching = [level for level in factor.levels if level.label == setting]
-        return replace(factor, levels=tuple(matching))
-    numeric = NumericFactor(factor.name, span.low, span.high, span.log)
-    share = 0.5 * (float(numeric.coded(np.array(float(setting)))) + 1.0)
-    return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
+    return replace(design, factors=tuple(factors), exclusions=(), scheme=scheme)
 
 
 def confirm(  # noqa: PLR0913  # a study, a setting, and what its run may use

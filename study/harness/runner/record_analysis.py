@@ -22,7 +22,7 @@ from study.ground.errors import InputError, StudyError
 from study.ground.tabular import names_of
 from study.ground.units import parse_number
 from study.harness.design.load import is_constant
-from study.harness.design.overview import SAMPLED, duplicates
+from study.harness.design.overview import SAMPLED
 from study.harness.design.questions import usual_value
 from study.record.document import NumericalCells, NumericalRow, fault_of_series
 from study.record.record import answered_often, is_repeat, is_same_run, table
@@ -50,8 +50,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.ground.arrays import Array
-    from study.harness.design.spec import Design, Factor
-    from study.harness.design.study_file import ResponseSpec
+    from study.harness.design.spec import Design, Factor, ResponseSpec
     from study.record.record import Record
     from study.record.store import Store
     from study.simulation.cell import Treatment
@@ -374,7 +373,7 @@ def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
     # a stored record has its factors in the order of the alphabet
     answered = {frozenset(r.levels.items()): r for r in records if r.converged and r.block is None}
     lines = []
-    for group in duplicates(design):
+    for group in design.duplicates:
         answers = [
             r
             for treatment in group
@@ -496,12 +495,6 @@ def _finished(
     )  # fmt: skip
 
 
-def ranges_of(design: Design) -> tuple[NumericFactor, ...]:
-    """Ranges of a design."""
-    spans = design.ranges.items()
-    return tuple(NumericFactor(name, span.low, span.high, span.log) for name, span in spans)
-
-
 def coded_settings(factors: Sequence[NumericFactor], levels: Sequence[Mapping[str, str]]) -> Array:
     """Coded settings of some runs by their levels, such as ``"3 mm"`` or ``"3"``, shape (n, k)."""
     return np.column_stack([
@@ -517,7 +510,7 @@ def _answered(
 
     A surface beyond its last run is a guess, and where runs fail there may be nothing to guess.
     """
-    factors = ranges_of(design)
+    factors = tuple(design.ranges.values())
     coded = coded_settings(factors, [record.levels for record in records])
     good = np.array([record.value(response) is not None for record in records], dtype=bool)
     if good.all() or not good.any():

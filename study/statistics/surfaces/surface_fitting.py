@@ -16,7 +16,7 @@ from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
 from study.ground.tabular import MISSING, CsvTable
 from study.ground.units import unit_of_column
-from study.statistics.analysis.analysis_request import threshold
+from study.statistics.analysis.analysis_request import on_scale, threshold
 from study.statistics.surfaces.emulator import (
     FEWEST_SETTINGS,
     GRID_LEVELS,
@@ -85,8 +85,7 @@ def fitted_together(
 
 def difference_of(practical: Practical, runs: Runs) -> float | None:
     """Read the smallest difference that matters, in the unit of the response of some runs."""
-    limit = threshold(practical, unit_of_column(runs.name))
-    return None if limit is None else limit.on_scale(float(runs.response.mean()), "none")
+    return on_scale(threshold(practical, unit_of_column(runs.name)), float(runs.response.mean()))
 
 
 def remarks(runs: Runs, surface: str) -> list[str]:
