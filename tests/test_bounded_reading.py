@@ -43,7 +43,7 @@ EXCEPTIONS = {
         "open",
     ): "handles for fsync and of the lock, of which 4 kB are read",
     ("study/simulation/solve_task.py", "open"): "memory of this process, from /proc",
-    ("study/ground/memory.py", "read_text"): "memory of the machine, from /proc",
+    ("study/execution/local.py", "read_text"): "memory of the machine, from /proc",
     (
         "study/external/launcher.py",
         "open",

@@ -768,6 +768,17 @@ def test_columns_of_elsewhere_that_are_wrong_are_told(tmp_path, changed, into, n
                         results=tmp_path / "r")  # fmt: skip
 
 
+def test_numbers_of_elsewhere_are_asked_for_as_what_they_are(tmp_path):
+    """A name in both lists was told to have wrong letters; a surface, to need another design."""
+    _sampled_runs(tmp_path)
+    path, results = tmp_path / "runs.csv", tmp_path / "r"
+    with pytest.raises(errors.InputError, match="stands in --numeric alone"):
+        api.import_runs(path, "gel,speed", "peak", numeric="speed", results=results)
+    listed = api.import_runs(path, "gel", "peak", results=results)
+    with pytest.raises(errors.InputError, match="import the table again with --numeric"):
+        api.predict(listed.folder, {"parameters.speed": 2.0})
+
+
 def test_imported_runs_as_an_instrument_exports_them(tmp_path):
     """Units below the header are those that are declared; an undeclared comma is one fault."""
     path = tmp_path / "runs.csv"
