@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from study.api.folders import load_design
+from study.harness.design.load import load_design
 from study.api.planning import plan, status
 from study.api.study import report, run
 from study.execution.local import Loky

@@ -15,7 +15,7 @@ import gallery_pictures
 import study
 from study.external.forward_model import ForwardModel
 from study.ground import declaration, units
-from study.harness.design import study_file
+from study.harness.design import spec
 from study.harness.design.layout_kinds import LAYOUTS
 from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
@@ -39,7 +39,7 @@ TABLES: tuple[tuple[str, type], ...] = (
     *((f'[design] with kind = "{name}"', kind) for name, kind in LAYOUTS.items()),
     *(
         (f"[[{key.written}]]" if key.rows else f"[{key.written}]", key.kind)
-        for key in declaration.keys_of(study_file.DesignFile)
+        for key in declaration.keys_of(spec.DesignFile)
         if key.kind is not None
     ),
 )

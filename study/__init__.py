@@ -23,7 +23,8 @@ def __getattr__(name: str) -> Any:
     """Load a public function."""
     if name not in _PUBLIC:
         raise AttributeError(f"module 'study' has no attribute {name!r}")
-    return getattr(importlib.import_module("study.api"), name)
+    # kept, so that it is looked for once
+    return globals().setdefault(name, getattr(importlib.import_module("study.api"), name))
 
 
 def __dir__() -> list[str]:

@@ -33,7 +33,6 @@ WRITING = {"w", "wb", "x", "xb", "a", "ab"}
 #: place and call, and why it may: this list may only become shorter
 EXCEPTIONS = {
     ("study/ground/working_folder.py", "open"): "a handle of the folder to return to",
-    ("study/api/folders.py", "read_text"): "a file of the package",
     ("study/external/answers.py", "open"): "a process, which is no file",
     ("study/harness/design/load.py", "read_text"): "a file of the package",
     ("study/reporting/output/page.py", "read_text"): "a file of the package",
@@ -44,7 +43,7 @@ EXCEPTIONS = {
         "open",
     ): "handles for fsync and of the lock, of which 4 kB are read",
     ("study/simulation/solve_task.py", "open"): "memory of this process, from /proc",
-    ("study/ground/memory.py", "read_text"): "memory of the machine, from /proc",
+    ("study/execution/local.py", "read_text"): "memory of the machine, from /proc",
     (
         "study/external/launcher.py",
         "open",

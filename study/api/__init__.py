@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 from study.ground.errors import names_in_bounds
 
 #: names by their modules
 _NAMES = {
-    "api.folders": "load_design",
+    "harness.design.load": "load_design",
     "api.study": "run demo report verify",
     "api.planning": "plan augment run_sheet status",
     "api.contrast_power": "power contrasts",
@@ -41,10 +40,6 @@ __all__ = list(_HOME)  # noqa: PLE0605
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'study.api' has no attribute {name!r}")
-    return _verb(getattr(importlib.import_module(_HOME[name]), name))
-
-
-@cache
-def _verb(function: Callable[..., object]) -> Callable[..., object]:
-    """Verb that refuses a name of a file that is too long; one object for one function."""
-    return names_in_bounds()(function)
+    function: Callable[..., object] = getattr(importlib.import_module(_HOME[name]), name)
+    # a verb refuses a name of a file that is too long; one object for one function
+    return globals().setdefault(name, names_in_bounds()(function))

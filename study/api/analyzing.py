@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
@@ -15,25 +15,16 @@ from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
 from study.reporting.output.analysis_page import analysis_data, write_page
 from study.reporting.output.page import Shown
-from study.reporting.results.study_result import (
-    ResponseAnalysis,
-)
-from study.statistics.analysis.analysis_request import alpha_faults, threshold
+from study.statistics.analysis.analysis_request import alpha_faults, on_scale, threshold
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.comparisons import (
-    FamilyTest,
-    GroupMoments,
-    SummaryAnalysis,
-    holm_family,
-)
+from study.statistics.analysis.comparisons import GroupMoments, SummaryAnalysis
 from study.statistics.analysis.linear_model import Formula, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.study_file import Analysis as analysis_Analysis
     from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
     from study.statistics.analysis.analysis_request import AnovaOptions, Practical
@@ -193,7 +184,7 @@ def analyze_summary(
     return SummaryAnalysis(
         groups, groups.one_way(equal=True), groups.one_way(equal=False),
         groups.pairs(alpha, equal=True), groups.pairs(alpha, equal=False),
-        None if limit is None else limit.on_scale(float(n @ mean / n.sum()), "none"),
+        on_scale(limit, float(n @ mean / n.sum())),
     )  # fmt: skip
 
 
@@ -208,41 +199,6 @@ def asked_of(formula: Formula) -> AnovaOptions:
     if formula.transform != "none":
         options["transform"] = formula.transform
     return options
-
-
-# Families of tests adjusted together: of one response, of declared tests, of a whole study.
-
-
-def adjusted(
-    analyses: Sequence[ResponseAnalysis], spec: analysis_Analysis
-) -> tuple[ResponseAnalysis, ...]:
-    """Adjust p by Holm's method over the family that a design declares."""
-    if spec.family == "response" and not spec.primary:
-        return tuple(analyses)
-    raw = {
-        a.name: {effect.term: effect.p for effect in a.result.effects}
-        for a in analyses
-        if a.result is not None
-    }
-    if spec.family == "study":
-        tests = list(holm_family(raw, spec.primary))
-    else:
-        tests = [t for name, p in raw.items() for t in holm_family({name: p}, spec.primary)]
-    return tuple(_with(a, [t for t in tests if t.response == a.name], spec) for a in analyses)
-
-
-def _with(
-    analysis: ResponseAnalysis, tests: Sequence[FamilyTest], spec: analysis_Analysis
-) -> ResponseAnalysis:
-    if analysis.result is None:
-        return analysis
-    p = {test.term: test.p_holm for test in tests}
-    effects = tuple(replace(e, p_holm=p[e.term]) for e in analysis.result.effects)
-    which = f"the primary terms {', '.join(spec.primary)}" if spec.primary else "all terms"
-    where = "all responses together" if spec.family == "study" else "this response"
-    count = max((test.family for test in tests), default=0)
-    note = f"p (Holm) is adjusted for {count} tests: {which} of {where}"
-    return replace(analysis, result=replace(analysis.result, effects=effects).warn(note))
 
 
 # A mixed model of a study, a table or a file: blocks and other columns as random factors.

@@ -11,12 +11,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.folders import calibration_root, demo_design
 from study.ground.atomic_files import own_folder, write_atomic, write_new
 from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.ground.tabular import csv_text
-from study.harness.design.load import load, load_calibration, template
+from study.harness.design.load import (
+    calibration_root,
+    demo_design,
+    load,
+    load_calibration,
+    template,
+)
 from study.laboratory.tracker.tracker_recording import is_tracking, load_tracking, write_recording
 from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from study.api.analyzing import analyze
-from study.api.folders import RESULTS, design_root, load_design
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError, nearest
-from study.harness.design.spec import Design
-from study.harness.design.study_file import ResponseSpec
+from study.harness.design.load import RESULTS, design_root, load_design
+from study.harness.design.spec import Design, ResponseSpec
 from study.harness.runner.expansion import expand
 from study.simulation.tasks import Costs, default_jobs
-from study.statistics.analysis.analysis_request import threshold
+from study.statistics.analysis.analysis_request import on_scale, threshold
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.linear_contrast import Contrast
 from study.statistics.analysis.post_hoc import named_contrasts
@@ -208,7 +207,7 @@ def _practical(response: ResponseSpec, scatter: tuple[float, float, float] | Non
     # without a mean a share is known on the logarithm alone, and a difference off it alone
     if limit is None or (scatter is None and limit.relative != (response.transform == "log")):
         return None
-    return limit.on_scale(1.0 if scatter is None else scatter[2], response.transform)
+    return on_scale(limit, 1.0 if scatter is None else scatter[2], response.transform)
 
 
 def _known(

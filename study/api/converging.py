@@ -8,14 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, cast
 
-from study.api.folders import RESULTS, design_root, loaded_problem
 from study.api.opened_study import load as load_study
 from study.execution.supervisor import Executor
 from study.external.forward_model import ForwardCell
 from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
-from study.harness.design.load import file_kind, load
+from study.harness.design.load import RESULTS, design_root, file_kind, load, loaded_problem
 from study.harness.runner import study_refinement
 from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed

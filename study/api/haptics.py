@@ -10,13 +10,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.api.comparison import explain
-from study.api.folders import REPORTS, RESULTS, finished_manifest, loaded_problem, results_folder
 from study.api.predicting import opened, surfaces_of
 from study.api.solving import solve
 from study.ground.atomic_files import write_atomic
 from study.ground.bounded_file import UnreadableError, read_json
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import load
+from study.harness.design.load import (
+    REPORTS,
+    RESULTS,
+    finished_manifest,
+    loaded_problem,
+    results_folder,
+)
 from study.harness.design.spec import Design
 from study.harness.runner.expansion import cases_by_id
 from study.laboratory.haptics import haptic_export
@@ -38,9 +44,19 @@ from study.simulation.cell import CellProblem, tested
 from study.simulation.fit_problem import data_root, folders, located
 from study.simulation.problem_file import default_name
 from study.simulation.tasks import Costs, default_jobs
+from study.statistics.analysis.analysis_request import (
+    AnalysisRequest,
+    Blocking,
+    ResponseScale,
+    threshold,
+)
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.anova import analyze
 from study.statistics.surfaces.surface_function import surface_functions
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from study.api.assemble import StudyResult
     from study.ground.arrays import Array
 
@@ -533,8 +549,16 @@ def tracking(
         For a faulty file or faulty data, with everything that is wrong.
     """
     declared = load_tracking(source)
-    accuracy = judge_tracker(declared, data_root(source, data), default_name(str(source)))
+    root, name = data_root(source, data), default_name(str(source))
+    accuracy = judge_tracker(declared, root, name, _compared_stages)
     if reports is None:
         return accuracy
     page = write_tracker(accuracy, Path(reports) / slug(accuracy.name))
     return replace(accuracy, report=str(page))
+
+
+def _compared_stages(table: pd.DataFrame, practical: float | None, alpha: float) -> AnalysisResult:
+    """Compare the means of visits between stages, within passes where there are any."""
+    blocks = Blocking(("pass",) if "pass" in table else ())
+    scale = ResponseScale(practical=threshold(practical))
+    return analyze(table, AnalysisRequest("distance", ("stage",), blocks, scale=scale, alpha=alpha))

@@ -10,13 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.analyzing import adjusted
 from study.api.assemble import StudyResult, report_data
-from study.api.folders import RESULTS, finished_manifest, results_folder
 from study.ground.errors import Fault, InputError, StudyError, nearest
-from study.harness.design.load import dump, loads
-from study.harness.design.spec import Design
-from study.harness.design.study_file import ResponseSpec
+from study.harness.design.load import RESULTS, dump, finished_manifest, loads, results_folder
+from study.harness.design.spec import Analysis, Design, ResponseSpec
 from study.harness.runner import record_analysis
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.expansion import cases_by_id, relabeled
@@ -29,6 +26,7 @@ from study.record.store import Store
 from study.reporting import content
 from study.reporting.content.analysis_content import contrasts
 from study.reporting.content.blocks import Sentence, Verbatim
+from study.reporting.content.comparison_content import conclusion_lines
 from study.reporting.content.report_facts import facts
 from study.reporting.content.sentences import would_change
 from study.reporting.content.text import THIN, case_counts
@@ -43,6 +41,7 @@ from study.simulation.job import held_out
 from study.simulation.plausibility import cautions_of
 from study.simulation.response import SCORED, response_unit
 from study.statistics.analysis.analysis_request import threshold
+from study.statistics.analysis.comparisons import FamilyTest, holm_family
 from study.statistics.analysis.post_hoc import with_contrasts
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
@@ -131,7 +130,7 @@ class Study(Shown, StudyResult):
             yield from content.surface_content.surface_blocks(fitted, self._data)
         if self.beside is not None:
             yield Verbatim("")
-            yield from map(Sentence, content.comparison_content.conclusion_lines(self.beside))
+            yield from map(Sentence, conclusion_lines(self.beside))
         if self.report is not None:
             yield Verbatim(f"\nreport: {self.report}")
 
@@ -204,7 +203,7 @@ def opened(folder: Path, ended: Work | None = None, *, tell_unfinished: bool = T
     later = store.read_unfinished() if tell_unfinished else None
     if later is not None:
         warnings.append(unfinished_note(store, later))
-    problems = [treatment.cell.problem for treatment in design.treatments]
+    problems = () if design.is_alone else (t.cell.problem for t in design.treatments)
     warnings += dict.fromkeys(caution for problem in problems for caution in cautions_of(problem))
     warnings += record_analysis.different_answers(design, records)
     warnings += [note for note in manifest["notes"] if is_caution(note)]
@@ -212,7 +211,7 @@ def opened(folder: Path, ended: Work | None = None, *, tell_unfinished: bool = T
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
     analyses = _analyses(design, records, numerical, unit_of(design, manifest))
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused not in ("", SEE_SURFACE)]
-    more = joined(design, store, manifest)
+    more = joined(design, store, manifest) if design.ranges else ()
     fitted = record_analysis.surfaces(design, [*records, *more], numerical)
     if more:
         warnings.append(f"{len(more)} confirming runs joined those of the surfaces")
@@ -310,6 +309,39 @@ def _analyses(
             )
         )  # fmt: skip
     return adjusted(analyses, design.analysis)
+
+
+# Families of tests adjusted together: of one response, of declared tests, of a whole study.
+
+
+def adjusted(analyses: Sequence[ResponseAnalysis], spec: Analysis) -> tuple[ResponseAnalysis, ...]:
+    """Adjust p by Holm's method over the family that a design declares."""
+    if spec.family == "response" and not spec.primary:
+        return tuple(analyses)
+    raw = {
+        a.name: {effect.term: effect.p for effect in a.result.effects}
+        for a in analyses
+        if a.result is not None
+    }
+    if spec.family == "study":
+        tests = list(holm_family(raw, spec.primary))
+    else:
+        tests = [t for name, p in raw.items() for t in holm_family({name: p}, spec.primary)]
+    return tuple(_with(a, [t for t in tests if t.response == a.name], spec) for a in analyses)
+
+
+def _with(
+    analysis: ResponseAnalysis, tests: Sequence[FamilyTest], spec: Analysis
+) -> ResponseAnalysis:
+    if analysis.result is None:
+        return analysis
+    p = {test.term: test.p_holm for test in tests}
+    effects = tuple(replace(e, p_holm=p[e.term]) for e in analysis.result.effects)
+    which = f"the primary terms {', '.join(spec.primary)}" if spec.primary else "all terms"
+    where = "all responses together" if spec.family == "study" else "this response"
+    count = max((test.family for test in tests), default=0)
+    note = f"p (Holm) is adjusted for {count} tests: {which} of {where}"
+    return replace(analysis, result=replace(analysis.result, effects=effects).warn(note))
 
 
 # What a response was scored on: the curve that was fitted, or one that the fit never saw.

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.folders import RESULTS
 from study.api.predicting import (
     Permission,
     fit_surface,
@@ -24,9 +23,10 @@ from study.api.predicting import (
 from study.ground import tabular, units
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
+from study.harness.design.load import RESULTS
 from study.harness.design.questions import usual_value
 from study.harness.runner.adaptive_cells import joined
-from study.harness.runner.record_analysis import at_levels, coded_settings, ranges_of
+from study.harness.runner.record_analysis import at_levels, coded_settings
 from study.mechanics.calibration.serial_correlation import (
     FEWEST_ROWS,
     Series,
@@ -35,7 +35,7 @@ from study.mechanics.calibration.serial_correlation import (
     trend,
 )
 from study.mechanics.measurement.written_units import contradicts, word_of_unit
-from study.record.record import is_repeat
+from study.record.record import is_same_run
 from study.record.store import Store
 from study.reporting.results.study_answers import (
     Agreement,
@@ -451,7 +451,7 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     records = [
         record
         for record in at_levels([*study.records, *more], labels)
-        if record.converged and not is_repeat(record.extra) and record.first_prediction()
+        if record.converged and not is_same_run(record.extra) and record.first_prediction()
     ]
     curve, notes = _covered(whole, records, Path(to))
     question = _Inversion(study, numbers, labels, curve, _share(within))
@@ -557,7 +557,7 @@ class _Inversion:
 
     def runs(self, records: Sequence[Record]) -> Runs:
         """Coded settings of runs."""
-        factors = ranges_of(self.study.design)
+        factors = tuple(self.study.design.ranges.values())
         coded = coded_settings(factors, [record.levels for record in records])
         return Runs("force", factors, coded, np.zeros(len(records)))
 
@@ -597,14 +597,15 @@ class _Inversion:
 
     def run(
         self, settings: Mapping[str, float], permission: Permission
-    ) -> tuple[Checked, Record | None]:
-        """Run the true model at a setting."""
+    ) -> tuple[Checked, list[Record]]:
+        """Run the true model at a setting: once, or once a replicate, whose mean curve counts."""
         records = permission.confirm(self.study, {**settings, **self.labels})
         levels = dict(records[0].levels) if records else {}
-        if not records or not records[0].converged:
-            return Checked(levels, float("nan"), False), None
-        missed = _force(records[0], self.curve) - self.curve.force_N
-        return Checked(levels, float(np.sqrt(np.mean(missed**2))), False), records[0]
+        answered = [record for record in records if record.converged]
+        if not answered:
+            return Checked(levels, float("nan"), False), []
+        missed = _force(answered, self.curve) - self.curve.force_N
+        return Checked(levels, float(np.sqrt(np.mean(missed**2))), False), answered
 
     def judged(self, nearest: NearestCurves) -> tuple[Agreement, str]:
         """How well the best curve is the measured one, unless a share was asked for; and why."""
@@ -668,13 +669,14 @@ def _checked_by_runs(
     nearest, run, notes = question.nearest(records), None, [*notes]
     for _ in range(ROUNDS):
         model = nearest.model
-        run, record = question.run(model.runs.settings(nearest.minima[0]), permission)
-        if record is None:
+        run, answered = question.run(model.runs.settings(nearest.minima[0]), permission)
+        if not answered:
             break
-        emulated = model.value(question.runs([*records, record]).coded[-1:])[0]
-        missed = _force(record, question.curve) - emulated
-        if record.case_id not in {earlier.case_id for earlier in records}:
-            records.append(record)
+        emulated = model.value(question.runs([*records, *answered]).coded[-1:])[0]
+        missed = _force(answered, question.curve) - emulated
+        before = {record.case_id for record in records}
+        if new := [record for record in answered if record.case_id not in before]:
+            records += new
             nearest = question.nearest(records)
         if (apart := float(np.sqrt(np.mean(missed**2)))) <= nearest.model.loo_rms:
             break
@@ -695,8 +697,11 @@ def _checked_by_runs(
     return question.inverted(nearest, agreed, runs, notes)
 
 
-def _force(record: Record, curve: Curve) -> Array:
-    predicted = record.first_prediction()
-    if predicted is None:
-        raise RefusedError("a confirming run has no curve")
-    return predicted.force_at(curve.displacement_mm)
+def _force(records: Sequence[Record], curve: Curve) -> Array:
+    """Mean force of some runs at the displacements of the measured curve, N."""
+    forces = []
+    for record in records:
+        if (predicted := record.first_prediction()) is None:
+            raise RefusedError("a confirming run has no curve")
+        forces.append(predicted.force_at(curve.displacement_mm))
+    return np.asarray(np.mean(forces, axis=0))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import datetime
-import math
-import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,11 +14,17 @@ import numpy as np
 
 from study import api
 from study.api.comparison import run_changes
-from study.api.folders import RESULTS, design_root, finished_manifest, load_design, results_folder
 from study.external.command import common_digest
 from study.ground.canonical import Keyed
 from study.ground.declaration import values_of
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
+from study.harness.design.load import (
+    RESULTS,
+    design_root,
+    finished_manifest,
+    load_design,
+    results_folder,
+)
 from study.harness.design.overview import Augmentation, Overview, further_cells, overview
 from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import continued
@@ -41,38 +45,11 @@ from study.simulation.tasks import Costs, default_jobs, program_calls
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.runner.batch import Progress
     from study.harness.runner.expansion import Work
     from study.record.store import Store
 
 
 # Seconds that a study still needs: its refinements, its controls, and what was noted.
-
-#: seconds between two notes for other shells: nobody reads them faster
-NOTED_S = 0.2
-
-
-def noted_progress(
-    store: Store, progress: Callable[[Progress], None] | None
-) -> Callable[[Progress], None]:
-    """Progress that is also left beside the lock, for other shells."""
-    noted = -math.inf
-
-    def note(state: Progress) -> None:
-        nonlocal noted
-        now = time.monotonic()
-        if now - noted > NOTED_S or state.done == state.total:
-            noted = now
-            counts = {k: getattr(state, k) for k in ("done", "total", "counted", "failed")}
-            at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-            note_of_run = counts | {"label": state.label[:80], "at": at}
-            if (left := state.seconds_left) is not None:
-                note_of_run["seconds_left"] = round(left, 1)
-            store.note(note_of_run)
-        if progress is not None:
-            progress(state)
-
-    return note
 
 
 def seconds_left(runner: Mapping[str, Any] | None) -> float | None:
@@ -150,7 +127,8 @@ def plan(
     Data that are not there yet do not stop a plan: it then counts cells, not cases, and no time.
     """
     loaded = load_design(design, overrides)
-    loaded = continued(loaded, Store(Path(results) / loaded.name, warn=lambda _: None))
+    if loaded.scheme.sequential is not None:
+        loaded = continued(loaded, Store(Path(results) / loaded.name, warn=lambda _: None))
     described = overview(loaded)
     warnings = list(described.warnings)
     if not loaded.responses:

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study import api
-from study.api.folders import RESULTS, design_root
 from study.ground import tabular, units
 from study.ground.errors import Fault, InputError, RefusedError, nearest
+from study.harness.design.load import RESULTS, design_root
 from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress
+from study.record.document import are_imported
 from study.simulation import overlay
 from study.simulation.fit_problem import NOTHING, Allowed
 from study.statistics.surfaces import surface_fitting
@@ -125,6 +126,8 @@ def surfaces_of(study: StudyResult, response: str | None = None) -> tuple[Fitted
     if not study.surfaces:
         rule = "has no surface: no factor is a range"
         mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
+        if are_imported(study.manifest["notes"]):
+            mend = "import the table again with --numeric and the columns that are numbers"
         raise InputError(Fault(study.design.name, rule, mend))
     names = list(dict.fromkeys(fitted.response for fitted in study.surfaces))
     if response is not None and response not in names:

@@ -17,11 +17,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
-from study.api.folders import REPORTS, RESULTS
 from study.ground import atomic_files
 from study.ground.bounded_file import read_existing, read_regular
 from study.ground.diagnostics import parse_toml
 from study.ground.errors import Fault, InputError, StoreError
+from study.harness.design.load import REPORTS, RESULTS
 from study.record.document import ManifestDocument, fault_of
 from study.record.record import CONVERGED, unseal
 from study.record.store import CURRENT, FileStamp

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.folders import loaded_problem
 from study.ground.atomic_files import is_special, replaced, write_atomic
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
-from study.harness.design.load import load_problem
+from study.harness.design.load import load_problem, loaded_problem
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.stability import check
 from study.mechanics.setup.setup import Problem, Tables

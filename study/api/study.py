@@ -16,23 +16,12 @@ import numpy as np
 
 from study.api.assemble import StudyResult, report_data
 from study.api.comparison import compare
-from study.api.folders import (
-    REPORTS,
-    RESULTS,
-    demo_design,
-    design_root,
-    finished_manifest,
-    load_design,
-    results_folder,
-)
 from study.api.opened_study import Study, count_cases, opened
 from study.api.opened_study import load as load_study
-from study.api.planning import noted_progress
 from study.api.predicting import Permission
-from study.execution.local import Worker
+from study.execution.local import Worker, uncollected
 from study.execution.supervisor import check_limit
-from study.external.command import check_allowed
-from study.external.exchange import Function, PythonFunction
+from study.external.command import Function, PythonFunction, check_allowed
 from study.ground.atomic_files import own_folder
 from study.ground.errors import (
     Fault,
@@ -42,8 +31,16 @@ from study.ground.errors import (
     StudyError,
     WriteError,
 )
-from study.ground.memory import uncollected
-from study.harness.design.load import loads
+from study.harness.design.load import (
+    REPORTS,
+    RESULTS,
+    demo_design,
+    design_root,
+    finished_manifest,
+    load_design,
+    loads,
+    results_folder,
+)
 from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import continued, run_adaptive
 from study.harness.runner.batch import (
@@ -53,6 +50,7 @@ from study.harness.runner.batch import (
     in_phase,
     manifest_of,
     mixed_meshes,
+    noted_progress,
     run_batch,
 )
 from study.harness.runner.expansion import expand
@@ -66,7 +64,7 @@ from study.reporting.output import write as provenance
 from study.reporting.output.page import DETAILS
 from study.reporting.output.write import Difference, Verification, checked_formats, main_file, write
 from study.simulation.fit_problem import Allowed, externals, placed_files
-from study.simulation.provenance import versions
+from study.simulation.job import versions
 from study.simulation.tasks import computing_on, default_jobs, memory_of, processes
 from study.simulation.virtual_specimens import usual_generator, write_virtual
 
@@ -192,7 +190,9 @@ def run(
     warnings: list[str] = []
     store = Store(own_folder(Path(results), loaded.name), warn=warnings.append)
     with uncollected():
-        work = expand(continued(loaded, store), root, allowed)
+        if loaded.scheme.sequential is not None:
+            loaded = continued(loaded, store)
+        work = expand(loaded, root, allowed)
     check_allowed(externals(job.case.problem for job in work.jobs), allow_commands)
     clock.mark("reading")
     # one executor for cells and refined cases alike, so that all of them fit into the memory
@@ -255,19 +255,23 @@ def _compute(
     expanded: Callable[[Design], Work],
 ) -> tuple[Work, int]:
     """Cases, then what says how far they can be trusted."""
-    work, computed = run_adaptive(
-        work,
-        store,
-        lambda part: run_batch(part, store, executor, progress),
-        expanded,
-        lambda part: store.begin_run(manifest_of(part)),
-    )  # fmt: skip
+    computed = run_batch(work, store, executor, progress)
+    if work.design.scheme.sequential is not None:
+        work, computed = run_adaptive(
+            work, store, computed,
+            lambda part: run_batch(part, store, executor, progress), expanded,
+            lambda part: store.begin_run(manifest_of(part)),
+        )  # fmt: skip
     plain = work.plain()
     clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
         return work, computed
-    refine_study(plain, store, executor, in_phase(progress, "finer meshes"))
-    compare_spaces(plain, store, executor, in_phase(progress, "control"))
+    if all(job.case.problem.is_homogeneous for job in plain.jobs):  # no mesh and no step matters
+        with store.lock():
+            store.write_rows("numerical", [])
+    else:
+        refine_study(plain, store, executor, in_phase(progress, "finer meshes"))
+        compare_spaces(plain, store, executor, in_phase(progress, "control"))
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:
         validate(plain, store, executor, in_phase(progress, "uncertain inputs"))

@@ -81,8 +81,7 @@ def virtual(
 ) -> None:
     """Write virtual measurements as CSV."""
     from study import api
-    from study.api.folders import design_root
-    from study.harness.design.load import load
+    from study.harness.design.load import design_root, load
     from study.laboratory.tracker.tracker_recording import is_tracking
     from study.simulation.fit_problem import data_root
 

@@ -1,7 +1,8 @@
-"""Programs as forward models: a fresh folder, files in, no shell, a time limit, files out."""
+"""Forward models that are not ours: programs, in a fresh folder without a shell, and functions."""
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import functools
 import io
@@ -21,23 +22,36 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from study.external import exchange
 from study.external.answers import (
     NoAnswer,
+    checked_curve,
     curve_of,
+    quantity_in,
     rendered,
     values_of_files,
 )
-from study.external.exchange import PredictedCurve, PythonFunction
+from study.external.exchange import (
+    CASE_FILE,
+    DISPLACEMENT,
+    FORCE,
+    GRADIENT,
+    PROBLEM_FILE,
+    PredictedCurve,
+    at_points,
+    curve_answered,
+)
 from study.external.forward_model import ForwardCell, ForwardFiles, ForwardModel, target_and_source
 from study.ground.arrays import Array
 from study.ground.bounded_file import read_regular
-from study.ground.canonical import digest
-from study.ground.errors import Fault, RefusedError, StoreError
-from study.ground.working_folder import environment
+from study.ground.canonical import Json, digest
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError, RefusedError, StoreError
+from study.ground.working_folder import UserImports, environment
 from study.record.document import ProgramDocument, SolverDocument, StepDocument
 
 # One run of a program: supervised, within limits of time, output and disk, with nothing left.
@@ -335,6 +349,127 @@ def _last(text: str) -> str:
     return (errors or lines or ["no output"])[-1][:200]
 
 
+# A Python function as a forward model: given to ``study.run``, never named in a file.
+
+#: problem (see ``fit_problem.request``) -> forces in N at its ``displacement_mm``,
+#: a curve, or columns such as ``displacement_mm``, ``force_N`` and ``dforce_C10``
+Function = Callable[[Mapping[str, Json]], "ArrayLike | Curve | Mapping[str, ArrayLike]"]
+
+
+@dataclass(frozen=True)
+class PythonFunction:
+    """A function that goes to worker processes."""
+
+    #: The function as cloudpickle wrote it, in base 64; it lives in memory alone.
+    text: str
+    #: Its identity, part of the name of every result: a source text is none.
+    version: str
+
+    @classmethod
+    def of(cls, function: Function, version: str) -> PythonFunction:
+        """Make it of a function."""
+        import cloudpickle
+
+        if not version.strip():
+            mend = 'give version = "1", and another one whenever the function changes'
+            raise InputError(Fault("version", "is missing: it is part of every key", mend))
+        try:
+            text = base64.b64encode(cloudpickle.dumps(function)).decode("ascii")
+        except Exception as error:  # it may hold anything
+            mend = "define it in a module, without open files or locks"
+            raise InputError(
+                Fault("forward", f"cannot go to a worker process: {error}", mend)
+            ) from error
+        return cls(text, version.strip())
+
+    def __call__(self, case: Mapping[str, object]) -> object:
+        """Call it; whatever it raises is a case without an answer."""
+        import cloudpickle
+
+        with UserImports():  # made anew: a case knows nothing of what another one left in it
+            function: Function = cloudpickle.loads(base64.b64decode(self.text))
+        try:
+            return function(_attributed(case))  # type: ignore[arg-type]
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's may raise anything
+            raise NoAnswer("failed", f"{type(error).__name__}: {error}") from error
+
+    def solve(
+        self, request: Mapping[str, object], displacement_mm: Array, units: Mapping[str, str]
+    ) -> PredictedCurve:
+        """Curve and further values of a problem."""
+        returned = self(request)
+        values = {}
+        if isinstance(returned, Mapping):
+            values = {k: quantity_in(returned[k], u, str(k)) for k, u in units.items()
+                      if k in returned}  # fmt: skip
+            returned = {k: v for k, v in returned.items() if k not in values}
+        columns = _python_function_columns(cast("ArrayLike", returned), displacement_mm)
+        return replace(at_points(columns, displacement_mm, {}), values=values)
+
+    def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> PredictedCurve:
+        """Values of parameters alone, or the curve; a value has the unit of its response."""
+        returned = self(case)
+        if isinstance(returned, Curve):
+            whole = checked_curve(returned.displacement_mm, returned.force_N, "the function")
+            return PredictedCurve(whole)
+        if not isinstance(returned, Mapping) or not returned:
+            rule = f"the function returned {type(returned).__name__}, not names with numbers"
+            columns_of = f'{{"{DISPLACEMENT}": [..], "{FORCE}": [..]}}'
+            raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}}, or a curve as {columns_of}')
+        answered = PredictedCurve()
+        if {DISPLACEMENT, FORCE} <= set(returned):
+            d, force = (np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE))
+            if d.ndim != 1 or d.shape != force.shape:
+                raise NoAnswer("failed", "the columns of the function's curve differ in length")
+            answered = PredictedCurve(checked_curve(d, force, "the function's curve"))
+            returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
+        scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
+                   for k, v in returned.items()}  # fmt: skip
+        values = {}
+        for name, value in scalars.items():
+            try:
+                values[name] = quantity_in(value, units.get(name, ""), name)
+            except NoAnswer:  # what else it returns may be no number
+                if name in units:
+                    raise
+        return replace(answered, values=values)
+
+
+class _Attributed(dict[str, object]):
+    """A case whose keys are attributes, too: ``case.parameters.mass``."""
+
+    def __getattr__(self, name: str) -> object:
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(f"the case has no {name!r}: it has {', '.join(self)}") from None
+
+
+def _attributed(value: object) -> object:
+    if isinstance(value, Mapping):
+        return _Attributed({str(k): _attributed(v) for k, v in value.items()})
+    return value
+
+
+def _python_function_columns(
+    given: ArrayLike | Curve | Mapping[str, ArrayLike], displacement_mm: Array
+) -> dict[str, Array]:
+    if isinstance(given, Curve):
+        slopes = {GRADIENT + name: slope for name, slope in given.force_gradient.items()}
+        given = {DISPLACEMENT: given.displacement_mm, FORCE: given.force_N, **slopes}
+    elif not isinstance(given, Mapping):
+        given = {FORCE: given}
+    given_columns: Mapping[str, ArrayLike] = {DISPLACEMENT: displacement_mm, **given}
+    columns = {name: np.asarray(values, dtype=float) for name, values in given_columns.items()}
+    if FORCE not in columns:
+        raise NoAnswer("failed", f"the function gives no {FORCE}")
+    size = columns[DISPLACEMENT].shape
+    for name, values in columns.items():
+        if values.shape != size or values.ndim != 1:
+            raise NoAnswer("failed", f"{name} of the function has the shape {values.shape}")
+    return columns
+
+
 # Forward models that are not ours, as a resolved table ``forward`` says them.
 
 #: digits of the name of a set of commands that a person compares and gives
@@ -406,19 +541,19 @@ class External:
         def read(folder: Path, text: str) -> PredictedCurve:
             values = values_of_files(section.values, folder, text)
             if section.curve is None:
-                curve = exchange.answer(folder, displacement_mm, section.reaches)
+                curve = curve_answered(folder, displacement_mm, section.reaches)
             else:
                 given = curve_of(section.curve, folder)
                 columns = {
-                    exchange.DISPLACEMENT: given.displacement_mm, exchange.FORCE: given.force_N
+                    DISPLACEMENT: given.displacement_mm, FORCE: given.force_N
                 }  # fmt: skip
-                curve = exchange.at_points(columns, displacement_mm, {}, section.reaches)
+                curve = at_points(columns, displacement_mm, {}, section.reaches)
             return replace(curve, values=values)
 
         def call(function: PythonFunction) -> PredictedCurve:
             return function.solve(request, displacement_mm, section.units)
 
-        return self._asked(call, context, (exchange.PROBLEM_FILE, request), read)
+        return self._asked(call, context, (PROBLEM_FILE, request), read)
 
     def answer(self, case: Mapping[str, object], units: Mapping[str, str]) -> PredictedCurve:
         """Ask for the values and the curve of parameters alone, responses in their units."""
@@ -433,7 +568,7 @@ class External:
         def call(function: PythonFunction) -> PredictedCurve:
             return function.values(case, {**units, **section.units})
 
-        return self._asked(call, lambda: case, (exchange.CASE_FILE, case), read)
+        return self._asked(call, lambda: case, (CASE_FILE, case), read)
 
     def _asked(
         self,

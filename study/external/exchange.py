@@ -7,31 +7,24 @@ whose gradient it knows) and, if it likes, ``facts.json`` (``dofs``, ``elements`
 
 from __future__ import annotations
 
-import base64
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from study.external.answers import (
     NoAnswer,
     check_columns,
-    checked_curve,
     column_of,
-    quantity_in,
     read_text,
     table_rows,
 )
 from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, parse_json
-from study.ground.canonical import Json
 from study.ground.curve import Curve, spline_from_origin
-from study.ground.errors import Fault, InputError
-from study.ground.working_folder import UserImports
 from study.record.document import MarkerDocument, MeshDocument, SolverDocument
 
 PROBLEM_FILE = "problem.json"
@@ -84,7 +77,7 @@ class PredictedCurve:
         )
 
 
-def answer(folder: Path, displacement_mm: Array, reaches: bool = True) -> PredictedCurve:
+def curve_answered(folder: Path, displacement_mm: Array, reaches: bool = True) -> PredictedCurve:
     """Read the curve that a program wrote. Shapes: displacement_mm (n,)."""
     header, rows = table_rows(read_text(folder, CURVE_FILE), CURVE_FILE)
     names = (DISPLACEMENT, FORCE, *(name for name in header if name.startswith(GRADIENT)))
@@ -139,124 +132,3 @@ def _facts(text: str) -> dict[str, int]:
             rule = f"must be a whole number that is not negative, got {str(count)[:80]}"
             raise NoAnswer("failed", f"{FACTS_FILE}: {name} {rule}")
     return {name: int(count) for name, count in counts.items()}
-
-
-# A Python function as a forward model: given to ``study.run``, never named in a file.
-
-#: problem (see ``fit_problem.request``) -> forces in N at its ``displacement_mm``,
-#: a curve, or columns such as ``displacement_mm``, ``force_N`` and ``dforce_C10``
-Function = Callable[[Mapping[str, Json]], "ArrayLike | Curve | Mapping[str, ArrayLike]"]
-
-
-@dataclass(frozen=True)
-class PythonFunction:
-    """A function that goes to worker processes."""
-
-    #: The function as cloudpickle wrote it, in base 64; it lives in memory alone.
-    text: str
-    #: Its identity, part of the name of every result: a source text is none.
-    version: str
-
-    @classmethod
-    def of(cls, function: Function, version: str) -> PythonFunction:
-        """Make it of a function."""
-        import cloudpickle
-
-        if not version.strip():
-            mend = 'give version = "1", and another one whenever the function changes'
-            raise InputError(Fault("version", "is missing: it is part of every key", mend))
-        try:
-            text = base64.b64encode(cloudpickle.dumps(function)).decode("ascii")
-        except Exception as error:  # it may hold anything
-            mend = "define it in a module, without open files or locks"
-            raise InputError(
-                Fault("forward", f"cannot go to a worker process: {error}", mend)
-            ) from error
-        return cls(text, version.strip())
-
-    def __call__(self, case: Mapping[str, object]) -> object:
-        """Call it; whatever it raises is a case without an answer."""
-        import cloudpickle
-
-        with UserImports():  # made anew: a case knows nothing of what another one left in it
-            function: Function = cloudpickle.loads(base64.b64decode(self.text))
-        try:
-            return function(_attributed(case))  # type: ignore[arg-type]
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a user's may raise anything
-            raise NoAnswer("failed", f"{type(error).__name__}: {error}") from error
-
-    def solve(
-        self, request: Mapping[str, object], displacement_mm: Array, units: Mapping[str, str]
-    ) -> PredictedCurve:
-        """Curve and further values of a problem."""
-        returned = self(request)
-        values = {}
-        if isinstance(returned, Mapping):
-            values = {k: quantity_in(returned[k], u, str(k)) for k, u in units.items()
-                      if k in returned}  # fmt: skip
-            returned = {k: v for k, v in returned.items() if k not in values}
-        columns = _python_function_columns(cast("ArrayLike", returned), displacement_mm)
-        return replace(at_points(columns, displacement_mm, {}), values=values)
-
-    def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> PredictedCurve:
-        """Values of parameters alone, or the curve; a value has the unit of its response."""
-        returned = self(case)
-        if isinstance(returned, Curve):
-            whole = checked_curve(returned.displacement_mm, returned.force_N, "the function")
-            return PredictedCurve(whole)
-        if not isinstance(returned, Mapping) or not returned:
-            rule = f"the function returned {type(returned).__name__}, not names with numbers"
-            columns_of = f'{{"{DISPLACEMENT}": [..], "{FORCE}": [..]}}'
-            raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}}, or a curve as {columns_of}')
-        answered = PredictedCurve()
-        if {DISPLACEMENT, FORCE} <= set(returned):
-            d, force = (np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE))
-            if d.ndim != 1 or d.shape != force.shape:
-                raise NoAnswer("failed", "the columns of the function's curve differ in length")
-            answered = PredictedCurve(checked_curve(d, force, "the function's curve"))
-            returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
-        scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
-                   for k, v in returned.items()}  # fmt: skip
-        values = {}
-        for name, value in scalars.items():
-            try:
-                values[name] = quantity_in(value, units.get(name, ""), name)
-            except NoAnswer:  # what else it returns may be no number
-                if name in units:
-                    raise
-        return replace(answered, values=values)
-
-
-class _Attributed(dict[str, object]):
-    """A case whose keys are attributes, too: ``case.parameters.mass``."""
-
-    def __getattr__(self, name: str) -> object:
-        try:
-            return self[name]
-        except KeyError:
-            raise AttributeError(f"the case has no {name!r}: it has {', '.join(self)}") from None
-
-
-def _attributed(value: object) -> object:
-    if isinstance(value, Mapping):
-        return _Attributed({str(k): _attributed(v) for k, v in value.items()})
-    return value
-
-
-def _python_function_columns(
-    given: ArrayLike | Curve | Mapping[str, ArrayLike], displacement_mm: Array
-) -> dict[str, Array]:
-    if isinstance(given, Curve):
-        slopes = {GRADIENT + name: slope for name, slope in given.force_gradient.items()}
-        given = {DISPLACEMENT: given.displacement_mm, FORCE: given.force_N, **slopes}
-    elif not isinstance(given, Mapping):
-        given = {FORCE: given}
-    given_columns: Mapping[str, ArrayLike] = {DISPLACEMENT: displacement_mm, **given}
-    columns = {name: np.asarray(values, dtype=float) for name, values in given_columns.items()}
-    if FORCE not in columns:
-        raise NoAnswer("failed", f"the function gives no {FORCE}")
-    size = columns[DISPLACEMENT].shape
-    for name, values in columns.items():
-        if values.shape != size or values.ndim != 1:
-            raise NoAnswer("failed", f"{name} of the function has the shape {values.shape}")
-    return columns

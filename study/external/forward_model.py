@@ -88,7 +88,7 @@ def file_name(value: object) -> str:
     if "/" in path or "\\" in path:
         rule = f"must be a file of the folder of the case, got {shown(value)}"
         raise Bad(rule, "write its name without a folder")
-    return path
+    return name(path)
 
 
 def _files(value: object) -> tuple[str | tuple[str, str], ...]:
@@ -96,9 +96,11 @@ def _files(value: object) -> tuple[str | tuple[str, str], ...]:
     files: list[str | tuple[str, str]]
     if isinstance(value, Mapping):
         files = [(file_name(target), relative_path(source)) for target, source in value.items()]
+    elif isinstance(value, list):
+        files = list(dict.fromkeys(relative_path(item) for item in value))
     else:
-        items = value if isinstance(value, list) else [value]
-        files = list(dict.fromkeys(relative_path(item) for item in items))
+        mend = 'write files = { "model.inp" = "templates/model.inp.j2" }, or ["model.inp"] to copy'
+        raise Bad(f"must be a table of names and files, or a list, got {shown(value)}", mend)
     if len(files) > MAX_FILES:
         raise Bad(f"lists {len(files)} files, the limit is {MAX_FILES}")
     targets = [target for target, _ in map(target_and_source, files)]
@@ -404,6 +406,11 @@ class ForwardCell(ABC):
     def calibrated_names(self) -> tuple[str, ...]:
         """Names of the constants that a fit may find; also responses."""
         return ()
+
+    @property
+    def test_name(self) -> str:
+        """Name of its specimen, test and measurements, whatever the steps; "" without a test."""
+        return ""
 
     @property
     def depth_mm(self) -> float | None:

@@ -6,7 +6,6 @@ of the first kind less that of the second; a factor that a side leaves out is av
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -52,18 +51,6 @@ class Threshold:
 
     value: float
     relative: bool = False
-
-    def on_scale(self, mean: float, transform: str) -> float:
-        """Half-width of the practical band on the working scale.
-
-        Examples
-        --------
-        >>> round(math.exp(Threshold(0.10, relative=True).on_scale(25.0, "log")), 10)
-        1.1
-        """
-        if transform == "log":
-            return math.log1p(self.value if self.relative else self.value / abs(mean))
-        return self.value * abs(mean) if self.relative else self.value
 
 
 @dataclass(frozen=True)

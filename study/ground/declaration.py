@@ -461,3 +461,16 @@ def relative_path(value: object) -> str:
     if ".." in PurePosixPath(value.replace("\\", "/")).parts:
         raise Bad(f"must not climb with '..', got {shown(value)}", mend)
     return value
+
+
+#: version of the files that are read
+SCHEMA = 1
+
+
+def _schema(value: object) -> int:
+    if isinstance(value, bool) or value != SCHEMA:
+        raise Bad(f"must be {SCHEMA}, got {shown(value)}", "this version reads schema 1 only")
+    return SCHEMA
+
+
+Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]

@@ -252,6 +252,12 @@ def is_repeat(extra: Mapping[str, object]) -> bool:
     return any(replicate(extra, name) != first for name, first in REPLICATES.items())
 
 
+def is_same_run(extra: Mapping[str, object]) -> bool:
+    """Whether a case is a run that counts already, on another mesh or with drawn noise."""
+    # a replicate of a stochastic simulation is a run of its own, as the first one is
+    return is_repeat({name: number for name, number in extra.items() if name != "replicate"})
+
+
 def replicate(extra: Mapping[str, object], name: str) -> int:
     """Read the number that a case has among its repeats."""
     number = extra.get(name)

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Self, cast
 
 from study.external.forward_model import ForwardCell, PlacedFile
-from study.ground.canonical import Json, canonical, hashed
+from study.ground.canonical import Json, canonical, digest, hashed
 from study.ground.declaration import document_of, field_named, section_of, table_of, values_of
 from study.ground.errors import Fault, InputError
 from study.mechanics.setup import setup
@@ -92,6 +92,12 @@ class CellProblem(ForwardCell):
     def calibrated_names(self) -> tuple[str, ...]:
         """Names of the constants that a fit may find."""
         return self.material.calibrated_names
+
+    @cached_property
+    def test_name(self) -> str:
+        """Name of its specimen, test and measurements, whatever the steps."""
+        spec, test = self.measurements, values_of(replace(self.test, steps=1))
+        return digest([self.specimen, test, None if spec is None else spec.as_dict()])
 
     @property
     def depth_mm(self) -> float | None:

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from study.external import command
-from study.external.command import External
-from study.external.exchange import PredictedCurve, PythonFunction
+from study.external.command import External, PythonFunction
+from study.external.exchange import PredictedCurve
 from study.external.forward_model import (
     ForwardCell,
     ForwardFiles,

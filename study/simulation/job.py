@@ -11,7 +11,6 @@ from typing import Literal
 from study.external.forward_model import ForwardCell
 from study.ground.canonical import digest
 from study.ground.curve import Curve
-from study.ground.declaration import values_of
 from study.ground.errors import Fault, InputError
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.forward.finite_element import Anchor
@@ -29,7 +28,8 @@ from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHI
 from study.mechanics.setup.setup import Setup
 from study.record.document import ResponseDocument
 from study.record.record import Record
-from study.simulation.cell import Case, Cell, CellProblem, Config, case_id
+from study.simulation import provenance
+from study.simulation.cell import Case, Cell, CellProblem, Config, case_id, tested
 from study.simulation.fit_problem import (
     FitProblem,
     fit_key,
@@ -37,7 +37,6 @@ from study.simulation.fit_problem import (
     together,
 )
 from study.simulation.fit_summary import FitResult
-from study.simulation.provenance import versions
 
 # A case as it goes to a worker: what is known of its record, its problem, its fits.
 
@@ -92,7 +91,7 @@ def gauge_of(setup: Setup) -> Gauge | None:
 class DataCache:
     """Measured tests of a study."""
 
-    def __init__(self, root: Path, tests: Sequence[CellProblem] = ()) -> None:
+    def __init__(self, root: Path, tests: Sequence[ForwardCell] = ()) -> None:
         self.root, self.tests = root, tests
         self._read: dict[str, Measurements] = {}
         self._recorded: dict[str, Recordings] = {}
@@ -326,6 +325,11 @@ def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:
     return dict(sorted(by_key.items(), key=lambda item: item[0] not in starts))
 
 
+def versions() -> dict[str, str]:
+    """Versions of everything that may move a digit, for the record."""
+    return {"study": provenance.code_version(), **provenance.libraries()}
+
+
 def repeated(case: Case, way: Sequence[object], cell: Cell | None = None) -> Case:
     """Copy a case that repeats it in some way; its name is made of the case's and of the way."""
     return replace(case, cell=cell or case.cell, case_id=case_id([case.case_id, *way]))
@@ -387,8 +391,8 @@ def _without_specimen(
 
 def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePair:
     """Scored curve of a test, with the fit to all other tests of the study."""
-    name = name_of_test(case.tested)
-    others = [test for test in data.tests if name_of_test(test) != name]
+    name = case.problem.test_name
+    others = [tested(test) for test in data.tests if test.test_name != name]
     if not others:
         rule = "leaves one test out, but the design has only one"
         mend = "make the tests a factor: presets with test and measurements"
@@ -402,12 +406,6 @@ def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePai
     where = scored.score or scored.fit
     test = _test(scored, case.block, where)
     return _pair(case, together(case.cell, others), test, where, curves, "all other tests")
-
-
-def name_of_test(problem: CellProblem) -> str:
-    """Name of a specimen's test and its measurements, whatever its steps."""
-    spec, test = problem.measurements, values_of(replace(problem.test, steps=1))
-    return digest([problem.specimen, test, None if spec is None else spec.as_dict()])
 
 
 def score_pairs(

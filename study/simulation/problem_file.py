@@ -24,6 +24,7 @@ from study.ground.declaration import (
     Length,
     Reads,
     Rows,
+    Schema,
     as_written,
     choice,
     integer,
@@ -236,16 +237,9 @@ class CalibrationDesign:
         return replace(self, fitting=with_values(self.fitting, specimens="pooled", leave_out=None))
 
 
-SCHEMA = 1
 MAX_TESTS = 1000
 QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
 FORMATS = ("html", "pdf", "tex", "csv")
-
-
-def _schema(value: object) -> int:
-    if isinstance(value, bool) or value != SCHEMA:
-        raise Bad(f"must be {SCHEMA}, got {shown(value)}", "this version reads schema 1 only")
-    return SCHEMA
 
 
 def _assumed(value: object) -> tuple[str, ...]:
@@ -358,7 +352,6 @@ class TestTable:
     nuisance: AsWritten = None
 
 
-_Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
 _Tests = Annotated[
     tuple[TestTable, ...], Rows(1, MAX_TESTS, "write [[tests]]", f"must be 1 to {MAX_TESTS} tables")
 ]
@@ -368,7 +361,7 @@ _Tests = Annotated[
 class ProblemFile:
     """A file for one forward simulation."""
 
-    schema: _Schema
+    schema: Schema
     study: StudyTable = StudyTable()
     specimen: AsWritten = None
     test: AsWritten = None
@@ -383,7 +376,7 @@ class ProblemFile:
 class CalibrationFile:
     """A file for the constants of one material."""
 
-    schema: _Schema
+    schema: Schema
     study: StudyTable = StudyTable()
     specimen: AsWritten = None
     material: AsWritten = None

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from study.execution.local import free_memory_MB
 from study.external.forward_model import ForwardCell
 from study.ground.arrays import Array, gathered
 from study.ground.canonical import Keyed, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
-from study.ground.memory import free_memory_MB
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.forward.formal_order import FormalOrder as FormalOrder
 from study.mechanics.forward.formal_order import element_size_mm, formal_order

@@ -15,20 +15,18 @@ from pathlib import Path
 from typing import Any, cast
 
 from study.execution.cluster import Client, Cluster
-from study.execution.local import Loky
+from study.execution.local import Loky, free_memory_MB
 from study.execution.supervisor import Document, Executor, Perform, Task
 from study.external.command import External
 from study.external.forward_model import FUNCTION_SECONDS, ForwardCell
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, UnitError
-from study.ground.memory import free_memory_MB
 from study.ground.units import parse
 from study.simulation import case, fit_task, solve_task
 from study.simulation.cell import CellProblem
 from study.simulation.fit_problem import FitPart, FitProblem
 from study.simulation.fit_summary import USUAL_EVALUATIONS
-from study.simulation.job import CaseJob, FitJob
-from study.simulation.provenance import versions
+from study.simulation.job import CaseJob, FitJob, versions
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
 #: scheduler file or a client of it

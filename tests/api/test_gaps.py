@@ -11,7 +11,7 @@ import pytest
 from study import api
 from study.ground.contrast import Threshold
 from study.harness.design.load import loads
-from study.harness.design.study_file import ResponseSpec as Response
+from study.harness.design.spec import ResponseSpec as Response
 from study.harness.runner.case_series import CaseSeries
 from study.harness.runner.record_analysis import analyze_records, numerical_bound, without_gaps
 from study.record.record import Record, table

@@ -8,7 +8,7 @@ import pytest
 
 import study as public
 from study.api.predicting import Permission
-from study.external.exchange import PythonFunction
+from study.external.command import PythonFunction
 from study.ground.canonical import plain
 from study.record.store import Store
 from study.simulation.fit_problem import Allowed

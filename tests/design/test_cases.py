@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from study.ground.errors import InputError
 from study.harness.design import load, overview, spec
 from study.simulation import cell as content
+from study.statistics.surfaces.surface_factors import NumericFactor
 from tests.design import faulty
 
 BASE = faulty.BASE.replace('"bonded"', '"frictionless"')
@@ -92,7 +93,7 @@ def test_an_impossible_cell_may_be_excluded():
 def test_duplicates_are_reported():
     text = BASE + '[factors]\nmodel.mesh_size = ["10 mm", "1 cm", "5 mm"]\n'
     study = load.loads(text)
-    (group,) = overview.duplicates(study)
+    (group,) = study.duplicates
     assert [cell.label for cell in group] == ["10 mm", "1 cm"]
     assert any("no replicates: 10 mm = 1 cm" in line for line in overview.warnings(study))
 
@@ -166,8 +167,10 @@ def test_a_range_and_a_distribution_can_be_overridden_in_part_and_whole():
 
     whole = 'factors.material.C10={ low = "1.1 kPa", high = "4 kPa" }'
     levels = 'factors.material.C10=["1 kPa", "2 kPa"]', "uncertainty.material.C10=0.1 kPa"
-    assert span(whole) == spec.Span(1.1, 4.0, "kPa")
-    assert span("factors.material.C10.low=1.1 kPa") == spec.Span(1.1, 2.0, "kPa", log=True)
+    assert span(whole) == NumericFactor("material.C10", 1.1, 4.0, unit="kPa")
+    assert span("factors.material.C10.low=1.1 kPa") == NumericFactor(
+        "material.C10", 1.1, 2.0, log=True, unit="kPa"
+    )
     assert span(*levels) is None
     assert span(*levels, whole) is not None
     normal = '{ distribution = "normal", mean = "1.5 kPa", sd = "0.1 kPa" }'

@@ -49,7 +49,7 @@ def solve_by_command(made, given, points):
     written = json.dumps(request(given, points), indent=1)
     contents = {**made.contents, exchange.PROBLEM_FILE: written}
     answer = command.run_commands(
-        made.section, contents, lambda folder, said: exchange.answer(folder, points)
+        made.section, contents, lambda folder, said: exchange.curve_answered(folder, points)
     )
     return answer, answer.solver["program"]
 
@@ -197,7 +197,7 @@ def test_what_a_file_of_an_answer_has_wrong_is_a_status(tmp_path, curve, facts, 
     (tmp_path / exchange.CURVE_FILE).write_text(curve)
     (tmp_path / exchange.FACTS_FILE).write_text(facts)
     with pytest.raises(NoAnswer, match=re.escape(said)) as caught:
-        exchange.answer(tmp_path, POINTS)
+        exchange.curve_answered(tmp_path, POINTS)
     assert caught.value.status == status
 
 
@@ -534,7 +534,7 @@ def test_the_program_of_a_fit_gets_the_parameters_of_the_user():
         gain, constant = case["parameters"]["gain"], case["material"]["constants_MPa"]["C10"]
         return gain * 2 * math.pi * RADIUS**2 * constant * (stretch**-2 - stretch)
 
-    function = exchange.PythonFunction.of(forces, "1")
+    function = command.PythonFunction.of(forces, "1")
     files = ForwardFiles(function=function.text, function_version="1")
     document = {
         "specimen": {"shape": "cylinder", "radius_mm": RADIUS, "height_mm": HEIGHT},

@@ -494,6 +494,98 @@ parameters.stiffness = "30 N/m"
     assert best.value == pytest.approx(overshoot(stiffness, damping), rel=0.02)
 
 
+SCATTERING = """
+schema = 1
+[study]
+name = "scattering"
+[parameters]
+a = 1.0
+b = 0.5
+seed = 1
+[replicates]
+key = "parameters.seed"
+n = 12
+[factors]
+parameters.a = { low = 0.0, high = 2.0 }
+parameters.b = { low = 0.0, high = 1.0 }
+"""
+
+
+def test_an_adaptive_design_stops_at_the_q2_that_its_report_shows(tmp_path):
+    """Of replicates the first alone counted, and of levels each alone: .95 where .99 was read."""
+
+    def scattered(case):
+        import random
+
+        p = case.parameters
+        return {"y": math.sin(2 * p.a) + p.b + random.Random(int(p.seed)).gauss(0, 0.15)}
+
+    def at_levels(case):
+        p = case.parameters
+        factor = {"one": 1.0, "two": 1.1}[p.kind]
+        return {"y": factor * math.sin(3 * p.a) * (1 + p.b**2)}
+
+    adaptive = """
+[design]
+kind = "adaptive"
+start = 12
+budget = 20
+[[response]]
+name = "y"
+practical = 0.2
+"""
+    levels = SCATTERING.partition("[replicates]")[0].replace("seed = 1", 'kind = "one"')
+    levels += "[factors]" + SCATTERING.partition("[factors]")[2]
+    levels += 'parameters.kind = ["one", "two"]'
+    for text, function in ((SCATTERING, scattered), (levels, at_levels)):
+        found = run(text + adaptive, tmp_path / function.__name__, function)
+        shown = min(surface.surface.model.q2 for surface in found.surfaces)
+        assert found.adaptive[-1]["q2"]["y"] == pytest.approx(shown, rel=1e-9)
+        assert "at least 0.95" in found.adaptive[-1]["stopped"]
+
+
+def test_an_inversion_takes_the_mean_of_replicates(tmp_path):
+    """Forces scatter by .12 of themselves: the first of twelve runs alone predicted nothing."""
+
+    def force(case):
+        import random
+
+        p = case.parameters
+        scatter = 1 + random.Random(int(p.seed)).uniform(-0.2, 0.2)
+        d = np.array([0.5, 1.0, 1.5, 2.0])
+        stiffness = (1 + p.a) * scatter
+        return {"displacement_mm": d, "force_N": stiffness * d * (1 + 0.5 * p.b * d)}
+
+    design = """
+[design]
+kind = "latin-hypercube"
+runs = 24
+[[response]]
+name = "peak_force"
+"""
+    text = SCATTERING.replace("n = 12", "n = 40") + design
+    found = run(text, tmp_path, force)
+    d = np.array([0.5, 1.0, 1.5, 2.0])
+    measured = pd.DataFrame({"displacement_mm": d, "force_N": 2.2 * d * (1 + 0.2 * d)})
+    measured.to_csv(tmp_path / "m.csv", index=False)
+    answer = api.invert(found.folder, tmp_path / "m.csv", confirming=False)
+    best = {item.name.removeprefix("parameters."): item.best for item in answer.inputs}
+    assert best == pytest.approx({"a": 1.2, "b": 0.4}, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("written", "into", "said"),
+    [
+        ('files = { "input.txt" = "input.txt.j2", "spring.py" = "spring.py" }',
+         'files = "spring.py"', "must be a table of names and files, or a list"),
+        ('file = "out.json"', 'file = "=1+1"', "takes for a formula"),
+    ],
+)  # fmt: skip
+def test_files_of_a_program_that_cannot_be_are_told(written, into, said):
+    with pytest.raises(errors.InputError, match=said):
+        loads(HEAD + PROGRAM.replace(written, into) + FACTORS + DECLARED)
+
+
 def test_trajectories_screen_a_function_as_its_derivatives_say(tmp_path):
     """Mu of a straight line is its coefficient; of Ishigami's, all three are SALib's."""
     from SALib.analyze import morris
@@ -674,6 +766,17 @@ def test_columns_of_elsewhere_that_are_wrong_are_told(tmp_path, changed, into, n
     with pytest.raises(errors.InputError, match=said):
         api.import_runs(path, "gel" * (numeric != "gel"), "peak", numeric=numeric,
                         results=tmp_path / "r")  # fmt: skip
+
+
+def test_numbers_of_elsewhere_are_asked_for_as_what_they_are(tmp_path):
+    """A name in both lists was told to have wrong letters; a surface, to need another design."""
+    _sampled_runs(tmp_path)
+    path, results = tmp_path / "runs.csv", tmp_path / "r"
+    with pytest.raises(errors.InputError, match="stands in --numeric alone"):
+        api.import_runs(path, "gel,speed", "peak", numeric="speed", results=results)
+    listed = api.import_runs(path, "gel", "peak", results=results)
+    with pytest.raises(errors.InputError, match="import the table again with --numeric"):
+        api.predict(listed.folder, {"parameters.speed": 2.0})
 
 
 def test_imported_runs_as_an_instrument_exports_them(tmp_path):

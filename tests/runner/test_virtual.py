@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from study.api.folders import demo_design
 from study.ground.curve import Curve
 from study.ground.errors import InputError
+from study.harness.design.load import demo_design
 from study.mechanics.forward import finite_element
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material

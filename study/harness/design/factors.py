@@ -31,10 +31,10 @@ from study.ground.diagnostics import (
 )
 from study.ground.errors import nearest
 from study.ground.units import parse
-from study.harness.design.spec import Factor, Level, Span
-from study.harness.design.study_file import DesignFile, Exclusion
+from study.harness.design.spec import DesignFile, Exclusion, Factor, Level
 from study.simulation import overlay
 from study.statistics.surfaces.input_distribution import DISTRIBUTION_KEYS
+from study.statistics.surfaces.surface_factors import NumericFactor
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100
@@ -255,11 +255,13 @@ def _range(key: str, value: Table, where: str, faults: Faults) -> list[Factor]:
         return []
     scale = noted(choice(*SCALES), value.get("scale", "linear"), f"{where}.scale", faults)
     log = scale == "log"
-    span = noted(lambda _: _span(value["low"], value["high"], dimension, log), value, where, faults)
-    return [] if span is None else [Factor(key, levels_at(key, span, (0.0, 1.0)), span)]
+    span = noted(
+        lambda _: _span(key, value["low"], value["high"], dimension, log), value, where, faults
+    )
+    return [] if span is None else [Factor(key, levels_at(span, (0.0, 1.0)), span)]
 
 
-def _span(low: object, high: object, dimension: str, log: bool) -> Span:
+def _span(name: str, low: object, high: object, dimension: str, log: bool) -> NumericFactor:
     (first, unit), (last, other) = _end(low, dimension), _end(high, dimension)
     if unit != other:
         raise Bad(f"mixes {unit!r} and {other!r}", "write both ends in one unit")
@@ -269,7 +271,7 @@ def _span(low: object, high: object, dimension: str, log: bool) -> Span:
     if log and first <= 0:
         rule = f"has a logarithm of positive numbers alone, got {shown(low)}"
         raise Bad(rule, 'begin above 0, or leave scale = "log" out')
-    return Span(first, last, unit, log)
+    return NumericFactor(name, first, last, log, unit)
 
 
 def _end(raw: object, dimension: str) -> tuple[float, str]:
@@ -285,14 +287,14 @@ def _end(raw: object, dimension: str) -> tuple[float, str]:
     return float(match[1]), match[2]
 
 
-def levels_at(key: str, span: Span, shares: Sequence[float]) -> tuple[Level, ...]:
+def levels_at(span: NumericFactor, shares: Sequence[float]) -> tuple[Level, ...]:
     """Levels at shares of a range, 0 its low and 1 its high end, in as few digits as tell them.
 
     Examples
     --------
-    >>> [level.label for level in levels_at("a", Span(1.0, 2.0, "mm"), [0, 1 / 3, 1])]
+    >>> [level.label for level in levels_at(NumericFactor("a", 1.0, 2.0, unit="mm"), [0, 1 / 3, 1])]
     ['1 mm', '1.3333 mm', '2 mm']
-    >>> [level.label for level in levels_at("a", Span(1.0, 100.0, "", log=True), [0, 0.5, 1])]
+    >>> [level.label for level in levels_at(NumericFactor("a", 1.0, 100.0, log=True), [0, 0.5, 1])]
     ['1', '10', '100']
     """
     values = [span.at(share) for share in shares]
@@ -302,7 +304,7 @@ def levels_at(key: str, span: Span, shares: Sequence[float]) -> tuple[Level, ...
                    for t, v in zip(texts, values, strict=True))  # fmt: skip
         if near and len(set(texts)) == len(set(values)):
             break
-    return tuple(_range_level(key, _plain(text), span.unit) for text in texts)
+    return tuple(_range_level(span.name, _plain(text), span.unit) for text in texts)
 
 
 def _plain(text: str) -> str:
@@ -317,7 +319,7 @@ def _range_level(key: str, text: str, unit: str) -> Level:
 
 def setting_in(factor: Factor, raw: object) -> Level:
     """Level of a factor with a range at one setting, as it is written: a number with its unit."""
-    span = cast("Span", factor.span)
+    span = cast("NumericFactor", factor.span)
     value, unit = _end(raw, overlay.dimension(factor.name) or "number")
     if unit != span.unit:
         raise Bad(f"{shown(raw)} is not in {span.unit!r}, the unit of its range")

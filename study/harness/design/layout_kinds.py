@@ -1,4 +1,4 @@
-"""Kind ``d-optimal`` of ``[design]``: fewer cells than combinations, of factors with any levels."""
+"""Table ``[design]``: every kind by its name; full, listed, D-optimal and adaptive cells."""
 
 from __future__ import annotations
 
@@ -16,24 +16,27 @@ from study.ground.declaration import (
     AsWritten,
     Bad,
     Reads,
+    Rows,
+    as_written,
     choice,
     integer,
+    name,
     section,
     shown,
 )
-from study.ground.diagnostics import Faults, noted, read_table
+from study.ground.diagnostics import Faults, flatten, noted, read_table
 from study.ground.errors import nearest
 from study.harness.design import generators
+from study.harness.design.factors import known_level, setting_in
 from study.harness.design.generators import Word, d_optimal, efficiency
 from study.harness.design.layouts import (
+    AT_EVERY_SETTING,
     MAX_CELLS,
     BoxBehnken,
     CentralComposite,
     Fractional,
-    Full,
     LatinHypercube,
     Layout,
-    Listed,
     Made,
     Morris,
     PlackettBurman,
@@ -41,8 +44,226 @@ from study.harness.design.layouts import (
     Sobol,
     placed,
 )
-from study.harness.design.spec import Factor, Scheme
-from study.harness.design.study_file import Sequential
+from study.harness.design.spec import Factor, Scheme, Sequential
+
+# Full factorials, also with factors that change together or are nested; and listed cells.
+
+#: parent of a nested factor, and the labels that exist within each of its levels
+Nests = Mapping[str, tuple[str, Mapping[str, tuple[str, ...]]]]
+
+_Name = Annotated[object, as_written("name a factor")]
+_Within = Annotated[object, as_written("{ LEVEL = [..], LEVEL = [..] }")]
+_Cells = Annotated[object, as_written("list the cells: treatments = [{ A = .., B = .. }]")]
+
+
+@section
+class Nested:
+    """One ``[[design.nested]]``: levels that exist only within a level of another factor."""
+
+    factor: _Name
+    within: _Name
+    levels: _Within
+
+
+@section
+class Full:
+    """Every combination of the levels that the factors have."""
+
+    kind: Literal["full"] = "full"
+    #: List of lists of factors whose levels change together.
+    zip: AsWritten = None
+    #: Factors whose levels exist only within a level of another one.
+    nested: Annotated[tuple[Nested, ...], Rows()] = ()
+
+    def make(self, request: Request) -> Made:
+        """Leave out the combinations that zipped or nested factors do not have."""
+        factors = request.factors
+        zipped: tuple[tuple[str, ...], ...] | None = ()
+        if self.zip is not None:
+            zipped = noted(partial(_zipped, factors), self.zip, "design.zip", request.faults)
+        nests = _nests(self.nested, request)
+        if zipped is None or nests is None:
+            return request.nothing
+        followers = {n for group in zipped for n in group[1:]}
+        count = math.prod(len(f.levels) for f in factors if f.name not in followers)
+        if count > MAX_CELLS:
+            rule = f"give {count} cells, the limit is {MAX_CELLS}"
+            request.faults.add("factors", rule, "use fewer levels, or several studies")
+            return (), Scheme()
+        if not zipped and not nests:
+            return factors, Scheme()
+        rows = []
+        for row in _product(factors, zipped):
+            labels = {f.name: f.labels[i] for f, i in zip(factors, row, strict=True)}
+            if all(labels[child] in within[labels[of]] for child, (of, within) in nests.items()):
+                rows.append(row)
+        summary = f"{len(rows)} of {math.prod(len(f.levels) for f in factors)} combinations"
+        return factors, Scheme("full", tuple(rows), summary, _told(zipped, nests))
+
+
+def _told(zipped: Sequence[tuple[str, ...]], nests: Nests) -> tuple[str, ...]:
+    """Say what zipped and nested factors cannot tell."""
+    apart = "change together: nothing tells their effects apart"
+    return (
+        *(f"{' and '.join(group)} {apart}" for group in zipped),
+        *(
+            f"{child} is nested in {parent}: its levels are compared within one level of {parent}"
+            for child, (parent, _) in nests.items()
+        ),
+    )
+
+
+def _product(factors: Sequence[Factor], zipped: Sequence[tuple[str, ...]]) -> list[tuple[int, ...]]:
+    leader = {f.name: f.name for f in factors} | {n: group[0] for group in zipped for n in group}
+    free = {f.name: range(len(f.levels)) for f in factors if leader[f.name] == f.name}
+    every = (dict(zip(free, index, strict=True)) for index in itertools.product(*free.values()))
+    return [tuple(index[leader[f.name]] for f in factors) for index in every]
+
+
+def _zipped(factors: Sequence[Factor], value: object) -> tuple[tuple[str, ...], ...]:
+    lists = isinstance(value, list) and bool(value) and isinstance(value[0], list)
+    groups: list[tuple[str, ...]] = []
+    by_name = {factor.name: factor for factor in factors}
+    seen: set[str] = set()
+    for group in value if isinstance(value, list) and lists else [value]:
+        if not isinstance(group, list) or len(group) < 2:
+            raise Bad(f"must list two or more factors, got {shown(group)}", 'zip = [["A", "B"]]')
+        for key in group:
+            if not isinstance(key, str) or key not in by_name:
+                raise Bad(f"no factor {shown(key)}", nearest(str(key)[:80], by_name))
+            if key in seen:
+                raise Bad(f"{key!r} stands twice", "a factor is zipped once")
+            seen.add(key)
+        counts = {key: len(by_name[key].levels) for key in group}
+        if len(set(counts.values())) > 1:
+            words = ", ".join(f"{key} has {count}" for key, count in counts.items())
+            raise Bad(f"needs equal numbers of levels: {words}", "level k goes with level k")
+        groups.append(tuple(group))
+    return tuple(groups)
+
+
+def _nests(tables: Sequence[Nested], request: Request) -> Nests | None:
+    """Nested factors; None where one is faulty."""
+    faults, before = request.faults, request.faults.mentions
+    nests: dict[str, tuple[str, Mapping[str, tuple[str, ...]]]] = {}
+    by_name = {factor.name: factor for factor in request.factors}
+    for i, table in enumerate(tables):
+        where = f"design.nested[{i}]"
+        child, parent = (
+            noted(partial(_known, by_name), value, f"{where}.{key}", faults)
+            for key, value in (("factor", table.factor), ("within", table.within))
+        )
+        if child is None or parent is None:
+            continue
+        if child == parent or child in nests or parent in nests:
+            faults.add(f"{where}.within", f"{child!r} in {parent!r} is no single nesting")
+        else:
+            read = partial(_levels_within, by_name[child], by_name[parent])
+            nests[child] = (parent, noted(read, table.levels, f"{where}.levels", faults) or {})
+    return nests if faults.mentions == before else None
+
+
+def _known(by_name: Mapping[str, Factor], value: object) -> str:
+    label = name(value)
+    if label not in by_name:
+        raise Bad(f"no factor {shown(value)}", nearest(label, by_name))
+    return label
+
+
+def _levels_within(child: Factor, parent: Factor, value: object) -> Mapping[str, tuple[str, ...]]:
+    """Labels of the child within each level of the parent: every one in exactly one."""
+    if not isinstance(value, Mapping):
+        raise Bad(f"must be a table, got {shown(value)}", "{ LEVEL = [..], LEVEL = [..] }")
+    labels_within: dict[str, tuple[str, ...]] = {}
+    for label, items in value.items():
+        if label not in parent.labels:
+            raise Bad(f"no level {label!r} of {parent.name!r}", nearest(label, parent.labels))
+        listed = items if isinstance(items, list) else [items]
+        labels_within[label] = tuple(known_level(item, child) for item in listed)
+    flat = [label for labels in labels_within.values() for label in labels]
+    if sorted(flat) != sorted(child.labels) or set(labels_within) != set(parent.labels):
+        rule = f"each level of {child.name!r} must stand in one level of {parent.name!r}"
+        raise Bad(rule, f"levels: {', '.join(child.labels)}")
+    return labels_within
+
+
+@section
+class Listed:
+    """Exactly the treatments of a list, in its order."""
+
+    #: List of tables, each with one level of every factor; of a range, a setting within it.
+    treatments: _Cells
+    kind: Literal["listed"] = "listed"
+
+    def make(self, request: Request) -> Made:
+        """Look up the levels of every treatment."""
+        read = partial(_treatments, request.factors)
+        factors_and_rows = noted(read, self.treatments, "design.treatments", request.faults)
+        if factors_and_rows is None:
+            return request.nothing
+        factors, rows = factors_and_rows
+        if any(factor.span for factor in factors):
+            return factors, Scheme(self.kind, rows, f"{len(rows)} listed", (AT_EVERY_SETTING,))
+        count = math.prod(len(factor.levels) for factor in factors)
+        note = (
+            "only the listed cells are run: terms that they do not separate are named by the "
+            "analysis"
+        )
+        summary = f"{len(rows)} listed of {count} combinations"
+        return factors, Scheme(self.kind, rows, summary, (note,))
+
+
+def _treatments(
+    factors: Sequence[Factor], value: object
+) -> tuple[tuple[Factor, ...], tuple[tuple[int, ...], ...]]:
+    """Factors with the listed settings of their ranges as levels, and the cells."""
+    if not isinstance(value, list) or not 2 <= len(value) <= MAX_CELLS:
+        raise Bad(f"must list 2 to {MAX_CELLS} treatments, got {shown(value)}")
+    cells = [_cell(factors, item, i) for i, item in enumerate(value)]
+    columns = [_levels_listed(factor, [cell[factor.name] for cell in cells]) for factor in factors]
+    factors, rows = tuple(f for f, _ in columns), list(zip(*(at for _, at in columns), strict=True))
+    first: dict[tuple[int, ...], int] = {}
+    for index, row in enumerate(rows):
+        first.setdefault(row, index)
+    if len(first) < len(rows):
+        again = next(first[row] for index, row in enumerate(rows) if first[row] < index) + 1
+        raise Bad(f"treatment {again} stands twice", "the same simulation is no replicate")
+    for f, column in zip(factors, zip(*rows, strict=True), strict=True):
+        if len(set(column)) < len(f.levels):
+            unused = next(lv for i, lv in enumerate(f.labels) if i not in column)
+            raise Bad(f"no treatment has {f.name} = {unused!r}", "leave the level out")
+    return factors, tuple(rows)
+
+
+def _levels_listed(factor: Factor, given: Sequence[object]) -> tuple[Factor, list[int]]:
+    """Factor and the level of every treatment; those of a range are the settings given."""
+    if factor.span is None:
+        labels = [known_level(raw, factor) for raw in given]
+    else:
+        levels = [setting_in(factor, raw) for raw in given]
+        labels = [level.label for level in levels]
+        unsorted = replace(factor, levels=tuple(dict(zip(labels, levels, strict=True)).values()))
+        setting = unsorted.settings
+        factor = replace(
+            factor, levels=tuple(sorted(unsorted.levels, key=lambda level: setting[level.label]))
+        )
+    places = {label: index for index, label in enumerate(factor.labels)}
+    return factor, [places[label] for label in labels]
+
+
+def _cell(factors: Sequence[Factor], item: object, index: int) -> Mapping[str, object]:
+    """One treatment: a value of every factor."""
+    given = flatten(item) if isinstance(item, Mapping) else {}
+    names = [factor.name for factor in factors]
+    missing = [f"has no {name!r}" for name in names if name not in given]
+    extra = [f"names no factor with {key!r}" for key in given if key not in names]
+    for what in (*missing, *extra):
+        rule = f"treatment {index + 1} {what}"
+        raise Bad(rule, "each treatment gives one level of every factor")
+    return given
+
+
+# Kind ``d-optimal``: fewer cells than combinations, of factors with any levels.
 
 
 @section

@@ -33,12 +33,6 @@ def equivalent_groups(design: Design) -> Groups:
     return _grouped(design.treatments, lambda cell: cell.physical_key)
 
 
-def duplicates(design: Design) -> Groups:
-    """Find groups of two or more cells with different labels and the same content."""
-    groups = _grouped(design.treatments, lambda cell: cell.content_key)
-    return tuple(group for group in groups if len(group) > 1)
-
-
 def calibration_groups(design: Design) -> Groups:
     """Cells that share one calibration problem (one fit a block); none where nothing is fitted."""
     calibrated = [t for t in design.treatments if t.cell.is_calibrated]
@@ -175,7 +169,7 @@ def overview(design: Design) -> Overview:
         _matrix(design, groups, fitted),
         design.excluded,
         replication(design),
-        duplicates(design),
+        design.duplicates,
         warnings(design),
     )
 
@@ -238,7 +232,7 @@ def warnings(design: Design) -> tuple[str, ...]:
         spec = problem.measurements
         if spec is not None and spec.fit is not None and spec.fit == spec.score:
             notes["cells are scored on the rows they were fitted to: fit, not prediction"] = None
-    for group in duplicates(design):
+    for group in design.duplicates:
         labels = " = ".join(t.label for t in group)
         notes[f"cells with the same content are one computation, no replicates: {labels}"] = None
     unused = set(table_of(design.config, "presets")) - {factor.name for factor in design.factors}

@@ -42,8 +42,7 @@ from study.ground.tabular import NUMBER
 from study.harness.design.factors import grouped
 from study.harness.design.generators import model_columns
 from study.harness.design.layout_kinds import word_of, words_of
-from study.harness.design.spec import Factor, Scheme, Span
-from study.harness.design.study_file import Analysis, ResponseSpec, Terms
+from study.harness.design.spec import Analysis, Factor, ResponseSpec, Scheme, Terms
 from study.simulation import overlay
 from study.simulation.response import (
     AT_DISPLACEMENT,
@@ -57,6 +56,7 @@ from study.statistics.surfaces.input_distribution import (
     PARAMETERS,
     InputDistribution,
 )
+from study.statistics.surfaces.surface_factors import NumericFactor
 
 # The tables ``[[response]]``: what is answered, and the smallest difference that matters.
 
@@ -212,7 +212,12 @@ def uncertainty_from(
 
 
 def _distribution(
-    key: str, raw: Table, kind: str, span: Span | None, ranges: Sequence[str], faults: Faults
+    key: str,
+    raw: Table,
+    kind: str,
+    span: NumericFactor | None,
+    ranges: Sequence[str],
+    faults: Faults,
 ) -> InputDistribution | None:
     where = f"uncertainty.{key}"
     if span is None:
@@ -265,7 +270,7 @@ def _number_of(name: str, kind: str, unit: str) -> Callable[[object], float]:
     return read
 
 
-def usual_value(key: str, kind: str, span: Span, config: Table) -> float:
+def usual_value(key: str, kind: str, span: NumericFactor, config: Table) -> float:
     """Value that a file gives to a range beside its ends, else the middle of the range."""
     node = overlay.value_at(config, key)
     middle = span.at(0.5)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +20,7 @@ from study.ground.errors import Fault, InputError, RefusedError, StudyError
 from study.harness.design.factors import levels_at
 from study.harness.design.layout_kinds import share_of
 from study.harness.design.load import dump, loads
-from study.harness.design.spec import Design, Factor
-from study.harness.design.study_file import Sequential
+from study.harness.design.spec import Design, ResponseSpec, Sequential
 from study.harness.runner.batch import Progress, run_batch
 from study.harness.runner.case_series import COSTS
 from study.harness.runner.expansion import Work, expand, relabeled
@@ -27,11 +28,11 @@ from study.harness.runner.record_analysis import (
     at_levels,
     coded_settings,
     labels_of,
-    ranges_of,
-    runs_at,
+    makers_of_runs,
+    runs_of_records,
 )
 from study.record.document import AdaptiveStep, ConfirmedRow, are_imported
-from study.record.record import Record
+from study.record.record import Record, is_same_run
 from study.record.store import Store
 from study.simulation.fit_problem import Allowed
 from study.simulation.provenance import code_version
@@ -45,15 +46,13 @@ from study.statistics.surfaces.emulator import (
     fit_own,
     next_run,
 )
-from study.statistics.surfaces.surface_factors import NumericFactor
-from study.statistics.surfaces.surface_fitting import difference_of
+from study.statistics.surfaces.surface_fitting import difference_of, models_at
+from study.statistics.surfaces.surface_optimum import Model
 from study.statistics.surfaces.surface_result import analysis_of
 
 
 def continued(design: Design, store: Store) -> Design:
     """Design with the cells that an earlier run of it has added."""
-    if design.scheme.sequential is None:
-        return design
     manifest = store.read_unfinished() or store.read_manifest()
     if manifest is None or code_of(manifest) != code_version():
         return design
@@ -90,14 +89,12 @@ _Fitted = tuple[dict[str, Emulator | BlockedEmulator], list[str]]
 def run_adaptive(
     work: Work,
     store: Store,
+    computed: int,
     compute: Callable[[Work], int],
     expanded: Callable[[Design], Work],
     note: Callable[[Work], None],
 ) -> tuple[Work, int]:
-    """Compute the cells of a design, and those that are added to it, until it says enough."""
-    computed = compute(work)
-    if work.design.scheme.sequential is None:
-        return work, computed
+    """Compute the cells that are added to those of a design, until it says enough."""
     size = len(work.design.treatments)
     history_rows = store.read_rows(HISTORY, AdaptiveStep)
     history: list[object] = [row for row in history_rows if row["cells"] < size]
@@ -121,16 +118,31 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     rule = design.scheme.sequential
     if rule is None:
         raise ValueError("the design is not adaptive")
-    places = labels_of(design)
-    fitted = [_fit(design, rule, labels, records) for labels in places]
-    size = len(design.treatments)
-    errors: dict[str, float] = {}
-    for models, _ in fitted:
-        for name, model in models.items():
-            errors[name] = min(errors.get(name, 1.0), float(model.q2))
-    unknown = list(dict.fromkeys(name for _, names in fitted for name in names))
-    step: AdaptiveStep = {"cells": size, "q2": {**errors}, "open": unknown, "stopped": ""}
-    free = min(rule.batch, rule.budget - size)
+    # in the order of a report, whose digits depend on it
+    ordered = sorted(records, key=lambda record: record.case_id)
+    places, runs = labels_of(design), [r for r in ordered if not is_same_run(r.extra)]
+    fitted: list[_Fitted] = [({}, []) for _ in places]
+    step: AdaptiveStep = {"cells": len(design.treatments), "q2": {}, "open": [], "stopped": ""}
+    ranges, lowest = tuple(design.ranges.values()), dict[str, float]()
+    for response in design.responses:
+        if response.name in COSTS:  # nobody learns what a run costs
+            continue
+        for labels, (emulators, still), (q2, is_good) in zip(
+            places, fitted, _judged(design, rule, response, runs), strict=True
+        ):
+            if q2 is not None:
+                lowest[response.name] = min(lowest.get(response.name, 1.0), q2)
+            if not is_good:
+                still.append(response.name)
+                with suppress(StudyError):  # where none can be fitted runs are needed most
+                    here = at_levels(runs, labels)
+                    answered = [r for r in here if r.value(response.name) is not None]
+                    emulators[response.name] = fit_own(
+                        runs_of_records(response.name, answered, None, ranges)
+                    )
+    step["q2"] = {**lowest}
+    step["open"] = list(dict.fromkeys(name for _, names in fitted for name in names))
+    free = min(rule.batch, rule.budget - step["cells"])
     step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
     return ([] if step["stopped"] else _chosen(design, rule, places, fitted, free)), step
 
@@ -145,30 +157,25 @@ def _end(rule: Sequential, step: AdaptiveStep, free: int, answered: bool) -> str
     return "" if free > 0 else f"the budget of {rule.budget} cells is spent"
 
 
-def _fit(
-    design: Design, rule: Sequential, labels: Mapping[str, str], records: Sequence[Record]
-) -> _Fitted:
-    """Fit every response at one combination of levels, and say which is not known well enough."""
-    models: dict[str, Emulator | BlockedEmulator] = {}
-    still = []
-    for response in design.responses:
-        if response.name in COSTS:  # nobody learns what a run costs
-            continue
-        try:
-            runs = runs_at(design, response.name, labels, records)
-            if np.ptp(runs.response) <= 1e-12 * float(np.abs(runs.response).max()):
-                continue  # the same in every run: known
-            model = models[response.name] = fit_own(runs)
+def _judged(
+    design: Design, rule: Sequential, response: ResponseSpec, records: Sequence[Record]
+) -> Iterator[tuple[float | None, bool]]:
+    """Q2 of the surface that the report shows at every combination of levels, if it is enough."""
+    makers, _, _ = makers_of_runs(design, response.name, records)
+    sizes = [len(labels) for labels in design.lists.values()]
+    for runs, model in zip(*models_at(sizes, design.analysis.surface, makers), strict=True):
+        values = np.zeros(0) if isinstance(runs, StudyError) else runs.response
+        if values.size and np.ptp(values) <= 1e-12 * float(np.abs(values).max()):
+            yield None, True  # the same in every run: known
+        elif isinstance(runs, StudyError) or isinstance(model, StudyError):
+            yield None, False
+        else:
             practical = difference_of(response.practical, runs)
-            is_good = _is_known(model, practical, rule)
-        except StudyError:  # without a surface it is not known
-            is_good = False
-        if not is_good:
-            still.append(response.name)
-    return models, still
+            q2 = float(model.q2)
+            yield q2 if math.isfinite(q2) else None, _is_known(model, practical, rule)
 
 
-def _is_known(model: Emulator | BlockedEmulator, practical: float | None, rule: Sequential) -> bool:
+def _is_known(model: Model, practical: float | None, rule: Sequential) -> bool:
     """Whether a response is known as well as the design asks for."""
     if rule.until == "q2" or practical is None:
         return bool(model.q2 >= rule.q2)
@@ -187,7 +194,7 @@ def _chosen(
     """Choose cells one after the other, each as if those before it had been run."""
     from scipy.stats import qmc
 
-    size = len(design.ranges)
+    size, ranges = len(design.ranges), tuple(design.ranges.values())
     power = 1.0 if rule.until == "q2" else _SEARCHING
     unsure = [
         [Unsure(model.process, power) for name in names if name in models
@@ -196,7 +203,7 @@ def _chosen(
     ]  # fmt: skip
     # cells of each combination in the unit box, those without an answer too
     cells = [[cell.levels for cell in at_levels(design.treatments, labels)] for labels in places]
-    run_points = [0.5 * (coded_settings(ranges_of(design), some) + 1.0) for some in cells]
+    run_points = [0.5 * (coded_settings(ranges, some) + 1.0) for some in cells]
     points = [candidates(size, rule.seed + n) for n in range(len(places))]
     at = qmc.Sobol(size, seed=rule.seed + len(places)).random_base2(REFERENCES)
     # where nothing could be fitted comes first: it needs runs most
@@ -258,19 +265,16 @@ def code_of(manifest: Mapping[str, object]) -> str:
 
 def single_cell_design(design: Design, settings: Mapping[str, float | str]) -> Design:
     """Make a design of one cell, by numbers in its ranges and labels of the others."""
-    factors = tuple(_single(factor, settings[factor.name]) for factor in design.factors)
+    factors = []
+    for factor in design.factors:
+        setting, span = settings[factor.name], factor.span
+        levels = tuple(level for level in factor.levels if level.label == setting)
+        if span is not None:
+            share = 0.5 * (float(span.coded(np.array(float(setting)))) + 1.0)
+            levels = levels_at(span, [min(max(share, 0.0), 1.0)])
+        factors.append(replace(factor, levels=levels))
     scheme = replace(design.scheme, rows=((0,) * len(factors),), sequential=None)
-    return replace(design, factors=factors, exclusions=(), scheme=scheme)
-
-
-def _single(factor: Factor, setting: float | str) -> Factor:
-    span = factor.span
-    if span is None:
-        matching = [level for level in factor.levels if level.label == setting]
-        return replace(factor, levels=tuple(matching))
-    numeric = NumericFactor(factor.name, span.low, span.high, span.log)
-    share = 0.5 * (float(numeric.coded(np.array(float(setting)))) + 1.0)
-    return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
+    return replace(design, factors=tuple(factors), exclusions=(), scheme=scheme)
 
 
 def confirm(  # noqa: PLR0913  # a study, a setting, and what its run may use

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import datetime
 import math
 import signal
 import threading
@@ -25,7 +26,7 @@ from study.ground.bounded_file import read_json
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, RefusedError, nearest
 from study.harness.design.load import dump
-from study.harness.design.study_file import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
+from study.harness.design.spec import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
 from study.harness.runner.expansion import Work, case_job
 from study.record.document import ManifestDocument, RetryDocument
 from study.record.record import Record
@@ -33,8 +34,7 @@ from study.record.store import Store
 from study.simulation.cell import CellProblem, tested
 from study.simulation.fit_problem import externals
 from study.simulation.fit_summary import FitResult
-from study.simulation.job import TRUTH_SUFFIX, CaseJob, FitJob, fits_of
-from study.simulation.provenance import versions
+from study.simulation.job import TRUTH_SUFFIX, CaseJob, FitJob, fits_of, versions
 from study.simulation.refinement import base_size_mm
 from study.simulation.solve_task import LASTING
 from study.simulation.tasks import Costs, adapted, limit_of
@@ -182,6 +182,33 @@ LEAST_SHARE = 0.02
 def in_phase(progress: Callable[[Progress], None], phase: str) -> Callable[[Progress], None]:
     """Progress of what is computed after the cases of a design, under its name."""
     return lambda state: progress(replace(state, phase=phase))
+
+
+#: seconds between two notes for other shells: nobody reads them faster
+NOTED_S = 0.2
+
+
+def noted_progress(
+    store: Store, progress: Callable[[Progress], None] | None
+) -> Callable[[Progress], None]:
+    """Progress that is also left beside the lock, for other shells."""
+    noted = -math.inf
+
+    def note(state: Progress) -> None:
+        nonlocal noted
+        now = time.monotonic()
+        if now - noted > NOTED_S or state.done == state.total:
+            noted = now
+            counts = {k: getattr(state, k) for k in ("done", "total", "counted", "failed")}
+            at = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+            note_of_run = counts | {"label": state.label[:80], "at": at}
+            if (left := state.seconds_left) is not None:
+                note_of_run["seconds_left"] = round(left, 1)
+            store.note(note_of_run)
+        if progress is not None:
+            progress(state)
+
+    return note
 
 
 def run_batch(

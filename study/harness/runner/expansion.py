@@ -17,7 +17,7 @@ from study.ground.canonical import digest, numbered
 from study.ground.errors import Fault, InputError
 from study.harness.design.spec import MAX_CASES, Design, cases
 from study.record.record import Record, is_repeat
-from study.simulation.cell import Case, CellProblem, Treatment
+from study.simulation.cell import Case, Treatment
 from study.simulation.fit_problem import (
     NOTHING,
     Allowed,
@@ -38,7 +38,6 @@ from study.simulation.job import (
     Forward,
     Origin,
     fits_of,
-    name_of_test,
     repeated,
     score_pairs,
 )
@@ -159,8 +158,7 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     """List every case and every fit of a design."""
     cells = design.treatments
     problems = [cell.cell.problem for cell in cells]
-    # its different specimens, tests and measurements
-    tests = {name_of_test(p): p for p in problems if isinstance(p, CellProblem)}
+    tests = {problem.test_name: problem for problem in problems if problem.test_name}
     data = DataCache(data_root, tuple(tests.values()))
     blocks = _common_blocks(cells, data)
     places = folders(design.source, data_root)

@@ -25,9 +25,9 @@ from study.record.document import MADE_ELSEWHERE, ManifestDocument, are_imported
 from study.record.record import STATUSES, Record
 from study.record.store import Store
 from study.simulation.cell import Case
+from study.simulation.job import versions
 from study.simulation.overlay import TABLES
 from study.simulation.problem_file import default_name
-from study.simulation.provenance import versions
 from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import settings_run
 
@@ -161,8 +161,14 @@ def _check(
         if units[name] and not agree(shown, units[name])
     ]
     for factor in ranges:
-        if not is_parameter(_key(factor)) or factor.name in (*columns, *units):
-            rule = f"{factor.name!r} cannot be a numeric factor beside the others"
+        if factor.name in (*columns, *units):
+            rule = f"{factor.name!r} stands in --numeric and among the factors or responses too"
+            mend = (
+                f"a factor over its range stands in --numeric alone: leave {factor.name} out there"
+            )
+            faults.append(Fault(table.source, rule, mend))
+        elif not is_parameter(_key(factor)):
+            rule = f"{factor.name!r} cannot be the name of a numeric factor"
             mend = "rename the column: letters, digits, - and _ alone, such as mesh_size"
             faults.append(Fault(table.source, rule, mend))
     for name in units:

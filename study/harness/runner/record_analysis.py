@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,10 +22,10 @@ from study.ground.errors import InputError, StudyError
 from study.ground.tabular import names_of
 from study.ground.units import parse_number
 from study.harness.design.load import is_constant
-from study.harness.design.overview import SAMPLED, duplicates
+from study.harness.design.overview import SAMPLED
 from study.harness.design.questions import usual_value
 from study.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.record.record import answered_often, is_repeat, table
+from study.record.record import answered_often, is_repeat, is_same_run, table
 from study.simulation import overlay
 from study.simulation.response import CURVE_RESPONSES
 from study.statistics.analysis.analysis_request import (
@@ -50,8 +50,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.ground.arrays import Array
-    from study.harness.design.spec import Design, Factor
-    from study.harness.design.study_file import ResponseSpec
+    from study.harness.design.spec import Design, Factor, ResponseSpec
     from study.record.record import Record
     from study.record.store import Store
     from study.simulation.cell import Treatment
@@ -374,7 +373,7 @@ def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
     # a stored record has its factors in the order of the alphabet
     answered = {frozenset(r.levels.items()): r for r in records if r.converged and r.block is None}
     lines = []
-    for group in duplicates(design):
+    for group in design.duplicates:
         answers = [
             r
             for treatment in group
@@ -411,11 +410,7 @@ def surfaces(
     """Fit all responses over the ranges at every combination of levels, without unanswered runs."""
     if not is_numeric(design):
         return ()
-    # a replicate is a run as the first one is; another mesh or drawn noise repeats the same run
-    originals = [
-        record for record in records
-        if not is_repeat({name: v for name, v in record.extra.items() if name != "replicate"})
-    ]  # fmt: skip
+    originals = [record for record in records if not is_same_run(record.extra)]
     places, sizes = labels_of(design), [len(labels) for labels in design.lists.values()]
     kind = design.analysis.surface
     if kind == "auto" and design.scheme.kind == "morris":
@@ -427,19 +422,13 @@ def surfaces(
     surfaces_fitted: list[FittedSurface] = []
     for response in design.responses:
         half_width = _half_width(response.name, records, numerical)
-        factors, ends = _answered(design, response.name, originals)
-        here = [at_levels(originals, labels) for labels in places]
-        good = [[r for r in some if r.value(response.name) is not None] for some in here]
+        makers, lost, ends = makers_of_runs(design, response.name, originals, half_width)
         # each of two settings may be off by its own bound
         bound = None if half_width is None else 2.0 * half_width
         each = surfaces_at(
             FittedSurface(response.name, response.unit, None, bound=bound, units=units_of),
-            places, sizes, kind,
-            [partial(_runs_of_records, response.name, some, half_width, factors)
-             for some in good],
-            response.practical,
+            places, sizes, kind, makers, response.practical,
         )  # fmt: skip
-        lost = [len(some) - len(answered) for some, answered in zip(here, good, strict=True)]
         surfaces_fitted += compared(
             [_finished(design, runs, n, ends) for runs, n in zip(each, lost, strict=True)]
         )
@@ -460,13 +449,15 @@ def at_levels(records: Sequence[T], labels: Mapping[str, str]) -> list[T]:
     return [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
 
 
-def runs_at(
-    design: Design, response: str, labels: Mapping[str, str], records: Sequence[Record]
-) -> Runs:
-    """Return the runs of a response that have an answer, at one combination of other levels."""
-    good = [r for r in at_levels(records, labels)
-            if not is_repeat(r.extra) and r.value(response) is not None]  # fmt: skip
-    return _runs_of_records(response, good, None, ranges_of(design))
+def makers_of_runs(
+    design: Design, response: str, records: Sequence[Record], half_width: float | None = None
+) -> tuple[list[Callable[[], Runs]], list[int], tuple[str, ...]]:
+    """Makers of the runs at every combination of labels, how many have no answer, and notes."""
+    factors, ends = _answered(design, response, records)
+    here = [at_levels(records, labels) for labels in labels_of(design)]
+    good = [[r for r in some if r.value(response) is not None] for some in here]
+    lost = [len(some) - len(answered) for some, answered in zip(here, good, strict=True)]
+    return [partial(runs_of_records, response, r, half_width, factors) for r in good], lost, ends
 
 
 def _half_width(
@@ -504,12 +495,6 @@ def _finished(
     )  # fmt: skip
 
 
-def ranges_of(design: Design) -> tuple[NumericFactor, ...]:
-    """Ranges of a design."""
-    spans = design.ranges.items()
-    return tuple(NumericFactor(name, span.low, span.high, span.log) for name, span in spans)
-
-
 def coded_settings(factors: Sequence[NumericFactor], levels: Sequence[Mapping[str, str]]) -> Array:
     """Coded settings of some runs by their levels, such as ``"3 mm"`` or ``"3"``, shape (n, k)."""
     return np.column_stack([
@@ -525,7 +510,7 @@ def _answered(
 
     A surface beyond its last run is a guess, and where runs fail there may be nothing to guess.
     """
-    factors = ranges_of(design)
+    factors = tuple(design.ranges.values())
     coded = coded_settings(factors, [record.levels for record in records])
     good = np.array([record.value(response) is not None for record in records], dtype=bool)
     if good.all() or not good.any():
@@ -549,7 +534,7 @@ def _end(name: str, side: str, value: float) -> str:
     return f"no run with {name} {side} {value:.4g} has an answer: nothing is said there"
 
 
-def _runs_of_records(
+def runs_of_records(
     response: str,
     records: Sequence[Record],
     half_width: float | None,

@@ -6,14 +6,15 @@ of its own, so the line is fitted with errors in both quantities.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.canonical import Keyed
-from study.ground.contrast import Threshold
 from study.ground.errors import Fault, InputError, settled
 from study.ground.tabular import CsvTable, read_csv
 from study.ground.units import unit_factor
@@ -47,9 +48,9 @@ from study.laboratory.tracker.tracker_recording import (
     read_recording,
     visits_to,
 )
-from study.statistics.analysis.analysis_request import AnalysisRequest, Blocking, ResponseScale
-from study.statistics.analysis.analysis_result import AnalysisResult
-from study.statistics.analysis.anova import analyze
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: A scale this far from 1 is another unit, not an error of a tracker.
 DISPLACEMENT_UNIT_RATIO = 5.0
@@ -219,6 +220,35 @@ class Standard:
     spheres: tuple[FittedSphere, ...] = ()
 
 
+class StageEffect(Protocol):
+    """What the means of stages differ by."""
+
+    @property
+    def range(self) -> float | None:
+        """Largest difference, mm."""
+
+    @property
+    def p(self) -> float | None:
+        """Of no difference."""
+
+    @property
+    def verdict(self) -> str:
+        """What may be claimed of it."""
+
+
+class StageComparison(Protocol):
+    """Analysis of variance of the means of visits, with the stage as factor."""
+
+    @property
+    def effects(self) -> Sequence[StageEffect]:
+        """One of the stages; empty where none can be told."""
+
+
+#: makes it of a table (``stage``, ``distance`` in mm, ``pass`` where there are passes), the
+#: smallest difference that matters in mm, and alpha
+Compare = Callable[["pd.DataFrame", float | None, float], StageComparison]
+
+
 @dataclass(frozen=True)
 class DistanceResult(Keyed):
     """Distance of two markers, stage by stage, beside what it should be."""
@@ -235,7 +265,7 @@ class DistanceResult(Keyed):
     #: In the order of the recording.
     stages: tuple[StageDistance, ...]
     #: Analysis of variance of the visit means; None where it cannot be made.
-    comparison: AnalysisResult | None
+    comparison: StageComparison | None
     #: Why there is none, or what the error term is.
     comparison_note: str
     #: None where there are too few visits or independent samples.
@@ -248,7 +278,11 @@ class DistanceResult(Keyed):
 
 
 def analyze_distance(
-    declared: DistanceTable, recording: TrackerRecording, root: Path, alpha: float
+    declared: DistanceTable,
+    recording: TrackerRecording,
+    root: Path,
+    alpha: float,
+    compare: Compare,
 ) -> DistanceResult:
     """Judge the distance between two markers."""
     first, second = (recording.positions[m] for m in declared.markers)
@@ -261,7 +295,8 @@ def analyze_distance(
             mend = 'is [recording] unit right? A factor near 1000 means "m" instead of "mm"'
             raise InputError(Fault("recording.unit", f"{rule}{standard.distance_mm:.4g}", mend))
     means = np.array([samples[visit.rows].mean() for visit in recording.visits])
-    comparison, note = _compared(recording, means, declared.practical, alpha)
+    table, note = _visit_means(recording, means)
+    comparison = None if table is None else compare(table, declared.practical, alpha)
     bias, interval = _bias(recording, means, standard, alpha)
     return DistanceResult(
         markers=declared.markers,
@@ -321,10 +356,8 @@ def _stage(recording: TrackerRecording, samples: Array, stage: str, alpha: float
     )
 
 
-def _compared(
-    recording: TrackerRecording, means: Array, practical: float | None, alpha: float
-) -> tuple[AnalysisResult | None, str]:
-    """Analysis of variance of the visit means with the stage as factor."""
+def _visit_means(recording: TrackerRecording, means: Array) -> tuple[pd.DataFrame | None, str]:
+    """Table of the visit means by stage and pass; None where nothing can be compared, and why."""
     import pandas as pd
 
     if len(recording.stages) < 2:
@@ -337,13 +370,11 @@ def _compared(
             "repeat the motion"
         )
     table = pd.DataFrame({"stage": [v.stage for v in recording.visits], "distance": means})
-    scale = ResponseScale(practical=None if practical is None else Threshold(practical))
     number = passes(recording.visits)
-    request = AnalysisRequest("distance", ("stage",), scale=scale, alpha=alpha)
     if number is None:
-        return analyze(table, request), "stages are compared against the scatter between visits"
+        return table, "stages are compared against the scatter between visits"
     table["pass"] = [f"pass {k + 1}" for k in number]
-    return analyze(table, replace(request, layout=Blocking(("pass",)))), (
+    return table, (
         f"stages are compared within each of {int(number.max()) + 1} passes; the error is "
         "their pass-to-pass variation"
     )
@@ -436,13 +467,15 @@ class TrackerAccuracy(Keyed):
     report: str | None = None
 
 
-def judge_tracker(declared: TrackingFile, root: Path, name: str) -> TrackerAccuracy:
+def judge_tracker(
+    declared: TrackingFile, root: Path, name: str, compare: Compare
+) -> TrackerAccuracy:
     """Compare a tracker with everything its file names."""
     alpha = declared.tracking.alpha
     recording = read_recording(declared.recording, root)
     distance = displacement = reference = None
     if declared.distance is not None:
-        distance = analyze_distance(declared.distance, recording, root, alpha)
+        distance = analyze_distance(declared.distance, recording, root, alpha, compare)
     if declared.displacement is not None:
         displacement = analyze_displacement(declared.displacement, recording, alpha)
     if declared.reference is not None:

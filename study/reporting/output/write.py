@@ -27,6 +27,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 import study
+from study.execution.local import Worker, uncollected
 from study.ground.atomic_files import own_folder
 from study.ground.bounded_file import (
     MAX_BYTES,
@@ -38,7 +39,6 @@ from study.ground.bounded_file import (
 )
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, StoreError, StudyError, nearest
-from study.ground.memory import uncollected
 from study.reporting.content.blocks import (
     Block,
     Document,
@@ -68,8 +68,6 @@ from study.reporting.results.study_result import CurvePair, ReportData
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from study.execution.local import Worker
 
 
 _SPECIAL = {

@@ -12,11 +12,26 @@ from study.ground.contrast import Threshold
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.units import converted, is_known, naming, unit_of_column
 from study.statistics.analysis.linear_model import Model
-from study.statistics.convergence.contrast_bound import NumericalBound, bound_of
+from study.statistics.convergence.contrast_bound import NumericalBound, OneBound, TermBounds
 
 _TEXT = re.compile(
     r"^\s*(?P<value>(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?)\s*(?P<unit>[^\d\s.,+-].*?)?\s*$"
 )
+
+
+def on_scale(limit: Threshold | None, mean: float, transform: str = "none") -> float | None:
+    """Half-width of the practical band on the working scale; None without one.
+
+    Examples
+    --------
+    >>> round(math.exp(on_scale(Threshold(0.10, relative=True), 25.0, "log")), 10)
+    1.1
+    """
+    if limit is None:
+        return None
+    if transform == "log":
+        return math.log1p(limit.value if limit.relative else limit.value / abs(mean))
+    return limit.value * abs(mean) if limit.relative else limit.value
 
 
 def threshold(practical: Practical, unit: str = "") -> Threshold | None:
@@ -160,6 +175,19 @@ class ResponseScale:
                 [Fault("u_num", f"{n!r} is no term", nearest(n, names)) for n in strange]
             )
         return bound_of({n: float(u) for n, u in self.u_num.items() if u is not None}, unit)
+
+
+def bound_of(
+    u: float | Mapping[str, float] | NumericalBound | None, unit: float = 1.0
+) -> NumericalBound | None:
+    """Bound of whatever was given, with numbers carried to the scale of the analysis."""
+    if u is None:
+        return None
+    if isinstance(u, Mapping):
+        return TermBounds({name: value * unit for name, value in u.items()})
+    if isinstance(u, int | float):
+        return OneBound(float(u) * unit)
+    return u
 
 
 #: smallest error probability: quantiles of studentized ranges are integrals, which do not end

@@ -20,6 +20,7 @@ from study.statistics.analysis.analysis_request import (
     NumericalUncertainty,
     Practical,
     ResponseScale,
+    on_scale,
     threshold,
     unchecked_unit,
 )
@@ -472,8 +473,7 @@ def _scale_of(out: AnalysisResult, y: Array) -> Scale:
     """Scale of a response y (n,): its practical difference and numerical bound as was asked."""
     scale, block, specimens = out.request.scale, out.data.block, out.request.specimens
     mean = float(np.exp(y.mean())) if scale.is_log else float(y.mean())
-    limit = scale.practical
-    practical = None if limit is None else limit.on_scale(mean, scale.transform)
+    practical = on_scale(scale.practical, mean, scale.transform)
     unit = 1 / mean if scale.is_log else 1.0
     bound = scale.bound(map(term_name, out.terms), unit)
     if specimens is None and block is not None and out.replicates not in ("mesh-seeds", "noise"):

@@ -28,6 +28,7 @@ from study.statistics.analysis.analysis_request import (
     Practical,
     ResponseScale,
     alpha_faults,
+    on_scale,
     threshold,
     unchecked_unit,
 )
@@ -247,7 +248,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     cells = MixedCells(fit, fixed, bare, data.layout, shift, alpha, seed)
     tests = {s.term: fit.test(s.basis) for s in term_sums(fixed, "III") if s.df}
     limit = threshold(practical, unit_of_column(response))
-    difference = None if limit is None else limit.on_scale(shift, "none")
+    difference = on_scale(limit, shift)
     specimens = len(data.layout.levels[blocks[0]]) if blocks else None
     scale = Scale("none", difference, None, deterministic=False, specimens=specimens)
     with _determined(sources):

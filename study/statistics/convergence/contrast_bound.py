@@ -323,16 +323,3 @@ class SeriesBounds:
             return None
         error, bound = np.array(bounded).T
         return inherited_uncertainty(np.array(list(weights.values())), error, bound)
-
-
-def bound_of(
-    u: float | Mapping[str, float] | NumericalBound | None, unit: float = 1.0
-) -> NumericalBound | None:
-    """Bound of whatever was given, with numbers carried to the scale of the analysis."""
-    if u is None:
-        return None
-    if isinstance(u, Mapping):
-        return TermBounds({name: value * unit for name, value in u.items()})
-    if isinstance(u, int | float):
-        return OneBound(float(u) * unit)
-    return u

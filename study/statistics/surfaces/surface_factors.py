@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, product
@@ -29,8 +30,10 @@ class NumericFactor(Keyed):
     #: Settings that are coded -1 and 1, in the factor's own unit.
     low: float
     high: float
-    #: Whether settings are coded by their logarithm.
+    #: Whether settings are coded by their logarithm: equal shares of its range are equal ratios.
     log: bool = False
+    #: Of the settings; empty for plain numbers, and where a table does not say it.
+    unit: str = ""
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
@@ -57,6 +60,16 @@ class NumericFactor(Keyed):
         low, high = self._ends()
         value = 0.5 * (low + high) + 0.5 * coded * (high - low)
         return float(np.exp(value)) if self.log else float(value)
+
+    def at(self, share: float) -> float:
+        """Give the setting at a share of the range, 0 its low and 1 its high end."""
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return self.low + share * (self.high - self.low)
+
+    def step(self, value: float) -> float:
+        """Difference from a setting that is a ten-thousandth of the range."""
+        return 1e-4 * (value * math.log(self.high / self.low) if self.log else self.high - self.low)
 
     def _ends(self) -> tuple[float, float]:
         if self.log:

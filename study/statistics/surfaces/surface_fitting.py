@@ -16,7 +16,7 @@ from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
 from study.ground.tabular import MISSING, CsvTable
 from study.ground.units import unit_of_column
-from study.statistics.analysis.analysis_request import threshold
+from study.statistics.analysis.analysis_request import on_scale, threshold
 from study.statistics.surfaces.emulator import (
     FEWEST_SETTINGS,
     GRID_LEVELS,
@@ -29,6 +29,7 @@ from study.statistics.surfaces.emulator import (
 )
 from study.statistics.surfaces.quadratic import fit_quadratic
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_optimum import Model
 from study.statistics.surfaces.surface_profile import (
     SCREENS,
     FittedSurface,
@@ -84,8 +85,7 @@ def fitted_together(
 
 def difference_of(practical: Practical, runs: Runs) -> float | None:
     """Read the smallest difference that matters, in the unit of the response of some runs."""
-    limit = threshold(practical, unit_of_column(runs.name))
-    return None if limit is None else limit.on_scale(float(runs.response.mean()), "none")
+    return on_scale(threshold(practical, unit_of_column(runs.name)), float(runs.response.mean()))
 
 
 def remarks(runs: Runs, surface: str) -> list[str]:
@@ -224,19 +224,8 @@ def surfaces_at(
     practical: Practical,
 ) -> list[FittedSurface]:
     """Surface at every combination of labels, or why there is none; raised without labels."""
-    every: list[Runs | StudyError] = []
-    for made_of in makers:
-        try:
-            every.append(made_of())
-        except StudyError as error:
-            every.append(error)
-    good, together = [table for table in every if isinstance(table, Runs)], None
-    if len(good) == len(places) == math.prod(sizes):
-        # what is wrong with a combination is said where it is fitted
-        with contextlib.suppress(StudyError):
-            together = fitted_together(good, sizes, surface)
     each = []
-    for k, (labels, runs) in enumerate(zip(places, every, strict=True)):
+    for labels, runs, model in zip(places, *models_at(sizes, surface, makers), strict=True):
         fitted_here = replace(blank, labels=labels)
         try:
             if not isinstance(runs, Runs):
@@ -246,8 +235,8 @@ def surfaces_at(
                 screened = elementary_effects(runs)
                 each.append(replace(fitted_here, refused=SCREENS, screened=screened))
                 continue
-            fit = fit_quadratic if kind_of(runs, surface) == "quadratic" else fit_own
-            model = fit(runs) if together is None else together[k]
+            if isinstance(model, StudyError):
+                raise model
             analysis = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
             each.append(replace(fitted_here, surface=analysis))
         except StudyError as error:
@@ -255,6 +244,35 @@ def surfaces_at(
                 raise
             each.append(replace(fitted_here, refused=str(error)))
     return each
+
+
+def models_at(
+    sizes: Sequence[int], surface: str, makers: Sequence[Callable[[], Runs]]
+) -> tuple[list[Runs | StudyError], list[Model | StudyError]]:
+    """Find runs and surface of every combination of labels, or why there are none."""
+    every: list[Runs | StudyError] = []
+    for made_of in makers:
+        try:
+            every.append(made_of())
+        except StudyError as error:
+            every.append(error)
+    good, together = [table for table in every if isinstance(table, Runs)], None
+    if len(good) == len(every) == math.prod(sizes):
+        # what is wrong with a combination is said where it is fitted
+        with contextlib.suppress(StudyError):
+            together = fitted_together(good, sizes, surface)
+    models: list[Model | StudyError] = []
+    for k, runs in enumerate(every):
+        try:
+            if not isinstance(runs, Runs):
+                raise runs
+            if surface == "morris":
+                raise RefusedError(SCREENS)
+            fit = fit_quadratic if kind_of(runs, surface) == "quadratic" else fit_own
+            models.append(fit(runs) if together is None else together[k])
+        except StudyError as error:
+            models.append(error)
+    return every, models
 
 
 def places_of(
