@@ -23,10 +23,10 @@ from pathlib import Path
 
 import numpy as np
 
-from study.harness.design.load import load_design
 from study.api.planning import plan, status
 from study.api.study import report, run
 from study.execution.local import Loky
+from study.harness.design.load import load_design
 from study.harness.runner.batch import manifest_of, run_batch
 from study.harness.runner.expansion import expand
 from study.mechanics.forward.closed_form import compression

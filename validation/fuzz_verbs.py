@@ -21,9 +21,9 @@ from unittest import mock
 import numpy as np
 from numpy.random import Generator
 
-from study.api import folders
 from study.cli.app import VERBS, run
 from study.ground.diagnostics import dump_toml
+from study.harness.design import load
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from validation.fuzz_inputs import (
@@ -289,7 +289,7 @@ def small_demo() -> AbstractContextManager[object]:
             text = text.replace(before, after)
         return loads(text, source, ['report.format=["csv"]', *overrides])
 
-    return mock.patch.object(folders, "loads", reduced)
+    return mock.patch.object(load, "loads", reduced)
 
 
 def _named(rng: Generator) -> str:

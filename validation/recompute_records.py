@@ -58,8 +58,7 @@ def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job
     InputError
         If the folder holds no study, or ``data`` not its measurements.
     """
-    from study.harness.design.load import results_folder
-    from study.harness.design.load import loads
+    from study.harness.design.load import loads, results_folder
     from study.record.store import Store
 
     home = results_folder(folder)

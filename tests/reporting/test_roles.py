@@ -86,5 +86,5 @@ def test_an_unknown_that_matters_at_some_settings_is_said_with_its_difference_th
     result = anova(data.table, "error", list(FACTORS), block="block", practical=3.0, exact=False)
     response = replace(data.analyses[0], result=result, practical=3.0)
     (line,) = effect_words.unknowns(data, facts(replace(data, analyses=(response,))))
-    assert re.search(r"changes the error by (4\.9\d|5\.0\d)\spp at range 60 %", line)
+    assert re.search(r"changes the error by (4\.9\d|5\.0\d)\spp \(at range 60 %", line)
     assert line.endswith("Measure it.")
