@@ -90,6 +90,8 @@ class CsvTable:
     units: Mapping[str, str] = field(default_factory=dict)
     #: Unit of every dimension, as lines above the names say.
     units_above: Mapping[str, str] = field(default_factory=dict)
+    #: Sizes of the specimen that the same lines say, mm and mm^2.
+    sizes_above: Mapping[str, float] = field(default_factory=dict)
     #: Mark between groups of three digits that was declared; found where it is empty.
     thousands: str = ""
 

@@ -1,5 +1,6 @@
 """Units as instruments write them: proposed by ``inspect``, and held against what is declared."""
 
+import numpy as np
 import pytest
 
 import study
@@ -116,3 +117,37 @@ def test_names_that_hold_no_other_unit_are_read(tmp_path, far, hard, refused):
             study.calibrate(tmp_path / "c.toml", data=tmp_path)
     else:
         assert study.calibrate(tmp_path / "c.toml", data=tmp_path).converged
+
+
+@pytest.mark.parametrize(
+    ("above", "note"),
+    [
+        ("Area,40.0,mm^2\n", "area 40 mm^2, [specimen] has 80 mm^2"),
+        ("Specimen,S1\nWidth [mm],8\nThickness: 5 mm\n", "area 40 mm^2, [specimen] has 80 mm^2"),
+        ('"Durchmesser","1,5","cm"\n', "area 176.7 mm^2, [specimen] has 80 mm^2"),
+        ("# Gauge length: 25 mm\n", "length 25 mm, [specimen] has 20 mm"),
+        ("Area,80.4,mm^2\nInitial length;20;mm\n", ""),  # as it was measured, to two digits
+        ("Probe diameter: 5 mm\nLoad cell area: 3 mm^2\n", ""),  # of no specimen
+        ("Area,40,mm^2\nArea,60,mm^2\n", ""),  # two specimens: which of them is not said
+        ("Length: 25 s\nWidth,20\n", ""),  # of a pulse, and of no unit
+    ],
+)
+def test_a_size_above_the_rows_that_is_another_one_is_named(tmp_path, above, note):
+    """F = A mu (l - 1/l^2) with A of the file: half the constant, and a fit that describes all."""
+    elongation_mm = 0.2 * np.arange(1, 31)
+    stretch = 1 + elongation_mm / 20
+    force_N = 40 * 0.06 * (stretch - stretch**-2)
+    pairs = zip(elongation_mm.tolist(), force_N.tolist(), strict=True)
+    rows = "".join(f"{d:.6f},{f:.8f}\n" for d, f in pairs)
+    (tmp_path / "a.csv").write_text(f"{above}d,F\n{rows}")
+    (tmp_path / "c.toml").write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
+        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
+        'test = { kind = "tension" }\n[tests.measurements]\nfile = "a.csv"\n'
+        f'skip_lines = {above.count(chr(10))}\ncolumns = {{ displacement = "d", force = "F" }}\n'
+        'units = { displacement = "mm", force = "N" }\n'
+    )
+    notes = study.calibrate(tmp_path / "c.toml", data=tmp_path).notes
+    written = [each for each in notes if "a line above the rows says" in each]
+    assert len(written) == bool(note)
+    assert all(note in each for each in written)

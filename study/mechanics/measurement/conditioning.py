@@ -58,7 +58,9 @@ _RELAXED = 0.02
 OFFSET = "a load-cell offset?"
 #: and one that asks for a unit
 PERCENT = "is it in per cent?"
-_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE, PERCENT, RELAXED)
+#: and one that the file and the design size differently
+SIZE_ABOVE = "a line above the rows says"
+_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE, PERCENT, RELAXED, SIZE_ABOVE)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,6 +18,7 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.conditioning import (
     OFFSET,
     PERCENT,
+    SIZE_ABOVE,
     Rules,
     condition,
     condition_course,
@@ -91,7 +93,8 @@ def read_measurements(
     )
     if faults:
         raise InputError(capped(faults))
-    notes = [*recorded.notes, *first_notes(test_notes), *_summary(tests, rules)]
+    sizes = _sizes_apart(recorded, gauge)
+    notes = [*recorded.notes, *sizes, *first_notes(test_notes), *_summary(tests, rules)]
     if rules != usual:
         notes.append(f"the range begins at {rules.low_mm:.4g} mm, where the last test begins")
     own_rows = own_rows and rules.is_raw
@@ -112,6 +115,34 @@ def read_measurements(
     if missing:
         raise InputError(capped(list(dict.fromkeys(missing))))
     return measurements
+
+
+#: relative difference of a size from which the file speaks of another specimen than the design
+_OTHER_SIZE = 0.02
+
+
+def _sizes_apart(recorded: Recordings, gauge: Gauge | None) -> list[str]:
+    """Say where lines above the rows give the specimen another area or length than the design."""
+    if gauge is None or gauge.mode != "uniaxial":
+        return []
+    notes = []
+    for file, sizes in recorded.sizes.items():
+        across = sizes.get("diameter", 2 * sizes.get("radius", math.nan))
+        rectangle = sizes.get("width", math.nan) * sizes.get("thickness", math.nan)
+        written = (
+            ("area", "mm^2", sizes.get("area", rectangle), gauge.area_mm2),
+            ("area", "mm^2", math.pi / 4 * across**2, gauge.area_mm2),
+            ("height", "mm", sizes.get("height", math.nan), gauge.length_mm),
+            ("length", "mm", sizes.get("length", math.nan) if gauge.sense > 0 else math.nan,
+             gauge.length_mm),
+        )  # fmt: skip
+        notes += [
+            f"{file}: {SIZE_ABOVE} {name} {in_file:.4g} {unit}, [specimen] has {declared:.4g} "
+            f"{unit}: constants are in proportion to the one that is meant"
+            for name, unit, in_file, declared in written
+            if abs(in_file / declared - 1) > _OTHER_SIZE
+        ]
+    return notes
 
 
 def first_notes(notes: Sequence[str]) -> list[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -28,6 +28,7 @@ from study.mechanics.measurement.written_units import (
     DIMENSIONS,
     contradicts,
     shows_unit,
+    sizes_above,
     units_above,
     word_of_unit,
     written_unit,
@@ -47,8 +48,9 @@ def read_table(
         plain, required=required, numbers=() if layout.thousands == "," else None,
         decimal=layout.decimal, source=source, numbered=at, delimiter=mark,
     )  # fmt: skip
-    above = units_above(text.splitlines()[: layout.skip_lines])
-    table = replace(table, thousands=layout.thousands, units_above=above)
+    above = text.splitlines()[: at[0] - 1 if at else 0]
+    table = replace(table, thousands=layout.thousands, units_above=units_above(above),
+                    sizes_above=sizes_above(above))  # fmt: skip
     return table.without_units(required, layout.unit_row).of_file(raw, encoding)
 
 
@@ -296,6 +298,8 @@ class Recordings:
     notes: tuple[str, ...]
     #: Name of each file and its sha256.
     files: Mapping[str, str]
+    #: Sizes of the specimen by file, as lines above its rows say, mm and mm^2.
+    sizes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def read_recordings(spec: MeasurementSpec, root: Path) -> Recordings:
@@ -310,6 +314,7 @@ def read_recordings(spec: MeasurementSpec, root: Path) -> Recordings:
         ),
         tuple(note for table, _ in tables for note in table.notes),
         {table.source: table.sha256 for table, _ in tables},
+        {table.source: table.sizes_above for table, _ in tables if table.sizes_above},
     )
 
 

@@ -65,6 +65,20 @@ _PREAMBLE = re.compile(
     re.IGNORECASE,
 )
 _ALL_UNITS = re.compile(r"[\W_]*(?:units?|einheit(?:en)?)\s*[:=,;\t](?P<units>.+)", re.IGNORECASE)
+#: sizes of a specimen in lines above the names (English, German, French)
+_SIZES: Mapping[str, str] = {
+    "diameter": "diameter|durchmesser|diamètre", "radius": "radius|rayon",
+    "height": "height|höhe|hoehe|hauteur", "width": "width|breite|largeur",
+    "thickness": "thickness|dicke|épaisseur", "length": "(?:gauge |grip )?length|(?:mess)?länge",
+    "area": r"(?:cross[- ]section(?:al)?\s*)?area|querschnitt(?:sfläche)?|fläche|section",
+}  # fmt: skip
+_SIZE = re.compile(
+    r"[\W_]*(?:(?:specimen|sample|initial|original|dimensions?|proben|probekörper)[\W_]*)*(?:"
+    + "|".join(f"(?P<{size}>{words})" for size, words in _SIZES.items())
+    + r")[\s\"]*(?:[\[(](?P<first>[^\[\]()]+)[\])])?[\s\"]*[:=,;\t][\s\":=,;]*"
+    r"(?P<number>\d+(?:[.,]\d+)?)[\s\",;]*(?P<unit>[^\s\",;\d]\S*?)?[\s\",;]*",
+    re.IGNORECASE,
+)
 
 
 @lru_cache(maxsize=256)
@@ -155,3 +169,26 @@ def units_above(lines: Iterable[str]) -> dict[str, str]:
             if unit and (not what or unit[1] in {DIMENSIONS[quantity] for quantity in quantities}):
                 shown.setdefault(unit[1], set()).add(unit[0])
     return {dimension: units.pop() for dimension, units in shown.items() if len(units) == 1}
+
+
+def sizes_above(lines: Iterable[str]) -> dict[str, float]:
+    """Sizes of the specimen that lines above the names say, mm and mm^2; of two values neither.
+
+    Examples
+    --------
+    >>> sizes_above(["Specimen diameter: 2.5 cm", '"Height [mm]","10,00"', "Probe diameter: 5 mm"])
+    {'diameter': 25.0, 'height': 10.0}
+    """
+    shown: dict[str, set[float]] = {}
+    for line in lines:
+        match = _SIZE.fullmatch(line)
+        if match is None:
+            continue
+        size = next(name for name in _SIZES if match[name])
+        power = 2 if size == "area" else 1
+        word = (match["unit"] or match["first"] or "").strip()
+        unit = written_unit(re.sub(r"\s*(\^|\*\*)?[2²]$", "", word) if power == 2 else word)
+        if unit and unit[1] == "length":
+            factor = unit_factor(*unit) ** power
+            shown.setdefault(size, set()).add(float(match["number"].replace(",", ".")) * factor)
+    return {size: values.pop() for size, values in shown.items() if len(values) == 1}
