@@ -15,7 +15,7 @@ from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.harness.design.load import RESULTS, dump, finished_manifest, loads, results_folder
 from study.harness.design.spec import Analysis, Design, ResponseSpec
 from study.harness.runner import record_analysis
-from study.harness.runner.adaptive_cells import joined
+from study.harness.runner.adaptive_cells import CONFIRMED, joined
 from study.harness.runner.expansion import cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
 from study.harness.runner.record_analysis import unit_of
@@ -211,7 +211,8 @@ def opened(folder: Path, ended: Work | None = None, *, tell_unfinished: bool = T
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
     analyses = _analyses(design, records, numerical, unit_of(design, manifest))
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused not in ("", SEE_SURFACE)]
-    more = joined(design, store, manifest) if design.ranges else ()
+    has_confirmed = (folder / f"{CONFIRMED}.json").exists()
+    more = joined(design, store, manifest) if has_confirmed else ()
     fitted = record_analysis.surfaces(design, [*records, *more], numerical)
     if more:
         warnings.append(f"{len(more)} confirming runs joined those of the surfaces")
