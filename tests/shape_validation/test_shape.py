@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 import study
 from study.cli.app import run
@@ -335,3 +336,23 @@ def test_unknown_cells_are_refused():
     mesh = DeformedMesh(np.eye(3), np.zeros((3, 3)), "wedge", np.zeros((1, 6), dtype=np.int64))
     with pytest.raises(InputError, match="cells of type 'wedge'"):
         surface_of(mesh)
+
+
+def test_points_on_a_line_are_drawn_with_few_hexagons(tmp_path, monkeypatch):
+    """A view that has no width got 2e10 rows of hexagons, and took all memory of the machine."""
+    drawn = []
+    hexbin = Axes.hexbin
+
+    def watched(self, *arguments, gridsize, **look):
+        drawn.append(gridsize)
+        few = tuple(np.minimum(gridsize, 100).tolist())  # more would end the test, not the memory
+        return hexbin(self, *arguments, gridsize=few, **look)
+
+    monkeypatch.setattr(Axes, "hexbin", watched)
+    height = np.linspace(2, 28, 200)  # a line on the side of the cylinder, seen from the front
+    angle = 1e-9 * np.sin(height)
+    line = np.column_stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), height])
+    scan = write_csv(tmp_path / "scan.csv", line)
+    study.shape(problem(tmp_path), scan, options=Options(False, True), reports=tmp_path / "r")
+    assert drawn
+    assert max(across * up for across, up in drawn) <= 40 * len(line)

@@ -104,7 +104,8 @@ def _hexagons(places: Array) -> tuple[int, int]:
     wide, high = np.maximum(np.ptp(places, axis=0), 1e-300)
     across = np.sqrt(len(places) / POINTS_IN_HEXAGON * wide / high)
     count = int(np.clip(across, FEWEST_HEXAGONS, MOST_HEXAGONS))
-    return count, max(int(count * high / wide / np.sqrt(3)), 2)
+    # a view of a line has no width, and no more of them than points
+    return count, int(np.clip(count * high / wide / np.sqrt(3), 2, max(len(places), 2)))
 
 
 # Figures of a tracker: distances by stage, differences from the stage, errors by pose.
