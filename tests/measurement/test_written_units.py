@@ -151,3 +151,19 @@ def test_a_size_above_the_rows_that_is_another_one_is_named(tmp_path, above, not
     written = [each for each in notes if "a line above the rows says" in each]
     assert len(written) == bool(note)
     assert all(note in each for each in written)
+
+
+def test_sides_of_a_pressed_block_are_no_area_by_themselves(tmp_path):
+    """Width and thickness of 20 and 10 mm, pressed along the thickness: the area is 400 mm^2."""
+    rows = "".join(f"{0.1 * k:.1f},{4 * k}\n" for k in range(1, 21))
+    above = "Width: 20 mm\nThickness: 10 mm\nLength: 20 mm\n"
+    (tmp_path / "a.csv").write_text(f"{above}d,F\n{rows}")
+    (tmp_path / "c.toml").write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "400 mm^2"\nlength = "10 mm"\n'
+        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
+        'test = { kind = "compression" }\n[tests.measurements]\nfile = "a.csv"\nskip_lines = 3\n'
+        'columns = { displacement = "d", force = "F" }\n'
+        'units = { displacement = "mm", force = "N" }\n'
+    )
+    notes = study.calibrate(tmp_path / "c.toml", data=tmp_path).notes
+    assert not [note for note in notes if "a line above the rows says" in note]

@@ -129,13 +129,16 @@ def _sizes_apart(recorded: Recordings, gauge: Gauge | None) -> list[str]:
     for file, sizes in recorded.sizes.items():
         across = sizes.get("diameter", 2 * sizes.get("radius", math.nan))
         rectangle = sizes.get("width", math.nan) * sizes.get("thickness", math.nan)
+        # of a pressed block the thickness may be its height, and a length one of its sides
+        area, length = sizes.get("area", math.nan), math.nan
+        if gauge.sense > 0:
+            area, length = sizes.get("area", rectangle), sizes.get("length", math.nan)
         written = (
-            ("area", "mm^2", sizes.get("area", rectangle), gauge.area_mm2),
+            ("area", "mm^2", area, gauge.area_mm2),
             ("area", "mm^2", math.pi / 4 * across**2, gauge.area_mm2),
             ("height", "mm", sizes.get("height", math.nan), gauge.length_mm),
-            ("length", "mm", sizes.get("length", math.nan) if gauge.sense > 0 else math.nan,
-             gauge.length_mm),
-        )  # fmt: skip
+            ("length", "mm", length, gauge.length_mm),
+        )
         notes += [
             f"{file}: {SIZE_ABOVE} {name} {in_file:.4g} {unit}, [specimen] has {declared:.4g} "
             f"{unit}: constants are in proportion to the one that is meant"
