@@ -28,7 +28,6 @@ from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHI
 from study.mechanics.setup.setup import Setup
 from study.record.document import ResponseDocument
 from study.record.record import Record
-from study.simulation import provenance
 from study.simulation.cell import Case, Cell, CellProblem, Config, case_id, tested
 from study.simulation.fit_problem import (
     FitProblem,
@@ -37,6 +36,7 @@ from study.simulation.fit_problem import (
     together,
 )
 from study.simulation.fit_summary import FitResult
+from study.simulation.provenance import versions
 
 # A case as it goes to a worker: what is known of its record, its problem, its fits.
 
@@ -323,11 +323,6 @@ def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:
                 by_key.setdefault(link.key, link)
     starts = {fit.start.key for fit in by_key.values() if fit.start is not None}
     return dict(sorted(by_key.items(), key=lambda item: item[0] not in starts))
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that may move a digit, for the record."""
-    return {"study": provenance.code_version(), **provenance.libraries()}
 
 
 def repeated(case: Case, way: Sequence[object], cell: Cell | None = None) -> Case:

@@ -81,6 +81,11 @@ def _state(root: Path) -> str:
     return hashlib.sha256(repr((study.__version__, facts)).encode()).hexdigest()
 
 
+def versions() -> dict[str, str]:
+    """Versions of everything that may move a digit, for the record."""
+    return {"study": code_version(), **libraries()}
+
+
 @functools.cache
 def libraries() -> Mapping[str, str]:
     """Versions of Python and of the libraries that compute, looked up once a process."""

@@ -26,7 +26,8 @@ from study.simulation import case, fit_task, solve_task
 from study.simulation.cell import CellProblem
 from study.simulation.fit_problem import FitPart, FitProblem
 from study.simulation.fit_summary import USUAL_EVALUATIONS
-from study.simulation.job import CaseJob, FitJob, versions
+from study.simulation.job import CaseJob, FitJob
+from study.simulation.provenance import versions
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
 #: scheduler file or a client of it

@@ -92,6 +92,22 @@ def test_lines_above_the_names_are_no_row_of_units(tmp_path, above, names):
     assert list(measurements["columns"].values()) == names.split(",")[1:]
 
 
+def calibration(folder, kind, area_mm2, length_mm, columns, skip_lines=0):
+    """Calibration of a gauge section by one test of a.csv, in mm and N."""
+    far, hard = columns
+    file = folder / "c.toml"
+    file.write_text(
+        f'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "{area_mm2} mm^2"\n'
+        f'length = "{length_mm} mm"\n'
+        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
+        f'test = {{ kind = "{kind}" }}\n[tests.measurements]\nfile = "a.csv"\n'
+        f"skip_lines = {skip_lines}\n"
+        f'columns = {{ displacement = "{far}", force = "{hard}" }}\n'
+        'units = { displacement = "mm", force = "N" }\n'
+    )
+    return file
+
+
 @pytest.mark.parametrize(
     ("far", "hard", "refused"),
     [
@@ -105,18 +121,12 @@ def test_lines_above_the_names_are_no_row_of_units(tmp_path, above, names):
 def test_names_that_hold_no_other_unit_are_read(tmp_path, far, hard, refused):
     rows = "".join(f"{0.1 * k},{0.02 * k}\n" for k in range(1, 21))
     (tmp_path / "a.csv").write_text(f"{far},{hard}\n{rows}")
-    (tmp_path / "c.toml").write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
-        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
-        'test = { kind = "tension" }\n[tests.measurements]\nfile = "a.csv"\n'
-        f'columns = {{ displacement = "{far}", force = "{hard}" }}\n'
-        'units = { displacement = "mm", force = "N" }\n'
-    )
+    file = calibration(tmp_path, "tension", 80, 20, (far, hard))
     if refused:
         with pytest.raises(InputError, match="its name says mm, but N is declared"):
-            study.calibrate(tmp_path / "c.toml", data=tmp_path)
+            study.calibrate(file, data=tmp_path)
     else:
-        assert study.calibrate(tmp_path / "c.toml", data=tmp_path).converged
+        assert study.calibrate(file, data=tmp_path).converged
 
 
 @pytest.mark.parametrize(
@@ -140,14 +150,8 @@ def test_a_size_above_the_rows_that_is_another_one_is_named(tmp_path, above, not
     pairs = zip(elongation_mm.tolist(), force_N.tolist(), strict=True)
     rows = "".join(f"{d:.6f},{f:.8f}\n" for d, f in pairs)
     (tmp_path / "a.csv").write_text(f"{above}d,F\n{rows}")
-    (tmp_path / "c.toml").write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
-        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
-        'test = { kind = "tension" }\n[tests.measurements]\nfile = "a.csv"\n'
-        f'skip_lines = {above.count(chr(10))}\ncolumns = {{ displacement = "d", force = "F" }}\n'
-        'units = { displacement = "mm", force = "N" }\n'
-    )
-    notes = study.calibrate(tmp_path / "c.toml", data=tmp_path).notes
+    file = calibration(tmp_path, "tension", 80, 20, ("d", "F"), above.count("\n"))
+    notes = study.calibrate(file, data=tmp_path).notes
     written = [each for each in notes if "a line above the rows says" in each]
     assert len(written) == bool(note)
     assert all(note in each for each in written)
@@ -158,12 +162,6 @@ def test_sides_of_a_pressed_block_are_no_area_by_themselves(tmp_path):
     rows = "".join(f"{0.1 * k:.1f},{4 * k}\n" for k in range(1, 21))
     above = "Width: 20 mm\nThickness: 10 mm\nLength: 20 mm\n"
     (tmp_path / "a.csv").write_text(f"{above}d,F\n{rows}")
-    (tmp_path / "c.toml").write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "400 mm^2"\nlength = "10 mm"\n'
-        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
-        'test = { kind = "compression" }\n[tests.measurements]\nfile = "a.csv"\nskip_lines = 3\n'
-        'columns = { displacement = "d", force = "F" }\n'
-        'units = { displacement = "mm", force = "N" }\n'
-    )
-    notes = study.calibrate(tmp_path / "c.toml", data=tmp_path).notes
+    file = calibration(tmp_path, "compression", 400, 10, ("d", "F"), 3)
+    notes = study.calibrate(file, data=tmp_path).notes
     assert not [note for note in notes if "a line above the rows says" in note]

@@ -34,7 +34,8 @@ from study.record.store import Store
 from study.simulation.cell import CellProblem, tested
 from study.simulation.fit_problem import externals
 from study.simulation.fit_summary import FitResult
-from study.simulation.job import TRUTH_SUFFIX, CaseJob, FitJob, fits_of, versions
+from study.simulation.job import TRUTH_SUFFIX, CaseJob, FitJob, fits_of
+from study.simulation.provenance import versions
 from study.simulation.refinement import base_size_mm
 from study.simulation.solve_task import LASTING
 from study.simulation.tasks import Costs, adapted, limit_of

@@ -25,9 +25,9 @@ from study.record.document import MADE_ELSEWHERE, ManifestDocument, are_imported
 from study.record.record import STATUSES, Record
 from study.record.store import Store
 from study.simulation.cell import Case
-from study.simulation.job import versions
 from study.simulation.overlay import TABLES
 from study.simulation.problem_file import default_name
+from study.simulation.provenance import versions
 from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import settings_run
 
