@@ -24,7 +24,6 @@ from study.mechanics.material.limiting_chain import ArrudaBoyce, Gent, VanDerWaa
 from study.mechanics.material.linear_elastic import LinearElastic
 from study.mechanics.material.ogden import ExtendedTube, Ogden, OgdenHill
 from study.mechanics.material.polynomial import (
-    Biderman,
     MooneyRivlin,
     NeoHookean,
     Polynomial,
@@ -46,7 +45,6 @@ ENERGIES: dict[str, Energy] = {
         LinearElastic(),
         NeoHookean(),
         MooneyRivlin(),
-        Biderman(),
         ReducedPolynomial(),
         Polynomial(),
         Ogden(),

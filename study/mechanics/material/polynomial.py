@@ -272,16 +272,6 @@ class MooneyRivlin(PolynomialEnergy):
         return ("C10", "C01")
 
 
-class Biderman(PolynomialEnergy):
-    """Yeoh's energy with the second invariant: C10, C01, C20 and C30 (Biderman 1958)."""
-
-    name = "biderman"
-
-    def constant_names(self, order: int = 1) -> tuple[str, ...]:
-        """Constants C_ij of the four terms."""
-        return ("C10", "C01", "C20", "C30")
-
-
 class ReducedPolynomial(PolynomialEnergy):
     """W = sum C_i0 (I1 - 3)^i; of third order it is Yeoh's."""
 
