@@ -7,20 +7,42 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.ground.errors import InputError
+from study.ground.errors import Fault, InputError
 from study.mechanics.material.homogeneous import response
 from study.mechanics.setup import test_kind
 from study.mechanics.setup.geometry import Block, Cone, Cylinder
 from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test
+from study.mechanics.setup.test_kind import Compression, FaceCondition, Test
 from study.mechanics.solver.finite_element_solution import solve
 from tests.fem.problems import GEL, reached
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
+class Tension(Compression):
+    """Bonded plates go apart: faces, contacts and faults differ from those of a compression."""
+
+    def faces(self, test):
+        return FaceCondition("top", self.sense, True), FaceCondition("base", 0.0, True)
+
+    def contacts(self, test):
+        return ()
+
+    def stretches(self, test, height_mm):
+        return np.linspace(1.0, 1 + test.depth_mm / height_mm, 41)
+
+    def faults(self, test, height_mm, half_width_mm):
+        if "frictionless" in (test.interface, test.base):
+            yield Fault("test.interface", "a plate pulls only what it is bonded to", "bond it")
+
+
+@pytest.fixture(autouse=True)
+def tension(monkeypatch):
+    monkeypatch.setitem(test_kind.TEST_KINDS, "tension", Tension(sense=1.0))
+
+
 def pulled(specimen, depth, steps=1, **model):
-    test = Test("bonded-tension", depth, "bonded", "bonded", steps=steps)
+    test = Test("tension", depth, "bonded", "bonded", steps=steps)
     return Problem(specimen, test, GEL, replace(Model(), **model))
 
 

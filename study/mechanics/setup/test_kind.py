@@ -629,35 +629,9 @@ class PlateMotion(Compression):
         )
 
 
-@dataclass(frozen=True)
-class BondedTension(Compression):
-    """Bonded plates go apart by the displacement."""
-
-    compresses: bool = False
-    sense: float = 1.0
-
-    def usual_base(self, interface: Interface) -> Interface:
-        """Bond both plates: a plate pulls only what it holds."""
-        return "bonded"
-
-    def contacts(self, test: Test) -> tuple[PlateContact, ...]:
-        """Sides draw away from the plates."""
-        return ()
-
-    def stretches(self, test: Test, height_mm: float) -> Array:
-        """From none to the end of the test."""
-        return np.linspace(1.0, 1 + test.depth_mm / height_mm, _STRETCHES)
-
-    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
-        """Refuse a plate that lets the specimen go."""
-        if "frictionless" in (test.interface, test.base):
-            yield Fault("test.interface", "a plate pulls only what it is bonded to", "bond it")
-
-
 #: every kind of test by its name in a file
 TEST_KINDS: dict[str, TestKind] = {
     "compression": Compression(),
-    "bonded-tension": BondedTension(),
     "indentation": Indentation(),
     "plate-motion": PlateMotion(),
     "tension": GaugeSection(),
