@@ -18,7 +18,6 @@ from study.record.document import ResponseDocument
 SIMULATED = {
     "peak_force": "N",
     "work": "N mm",
-    "mean_force": "N",
     "force_at": "N",
     "stiffness_at": "N/mm",
     "peak_contact_pressure": "kPa",
@@ -147,8 +146,6 @@ def simulated(response: str, curve: Curve) -> float:
         return float(curve.force_N.max())
     if name == "work":
         return work(curve) if curve.work_Nmm is None else float(curve.work_Nmm[-1])
-    if name == "mean_force":
-        return simulated("work", curve) / float(curve.displacement_mm[-1])
     # the largest value over the test of what finite elements say of plate or indenter, and of the
     # base; another program or a closed form gives none
     return float(np.max(curve.quantities.get(name, np.full(1, np.nan))))

@@ -19,7 +19,3 @@ def test_a_curve_ten_percent_off_is_ten_percent_off_in_every_measure(factor):
     assert found["peak_force_error"] == {"value": pytest.approx(2.0), "unit": "N"}
     # RMS of d on [0, 2] is 2/sqrt(3), up to the grid's 1e-4
     assert found["rms_force_error"]["value"] == pytest.approx(2 / np.sqrt(3), rel=5e-3)
-
-
-def test_mean_force_of_a_linear_spring_is_half_its_peak():
-    assert response.simulated("mean_force", MEASURED) == pytest.approx(10.0)
