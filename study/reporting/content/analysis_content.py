@@ -302,7 +302,7 @@ def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Tabl
         # the tabled p of one contrast would contradict the p of all of them
         tabled = "" if together else str(rj.p_minitab).replace("0.", ".")
         rows.append(("normality", f"Ryan-Joiner ({of})", rj.rj, tabled, p_value(rj.p_exact)))
-    for test in (tests.anderson_darling, tests.shapiro_wilk, tests.jarque_bera):
+    for test in (tests.anderson_darling, tests.shapiro_wilk):
         if test is not None and test.p is not None:
             rows.append(("normality", test.name, test.statistic, p_value(test.p), ""))
     for key, spread in tests.spread.items():

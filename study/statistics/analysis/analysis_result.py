@@ -60,7 +60,6 @@ class Assumptions(Keyed):
     non_additivity: NonAdditivityResult | None = None
     anderson_darling: NormalityResult | None = None
     shapiro_wilk: NormalityResult | None = None
-    jarque_bera: NormalityResult | None = None
     #: Rows that the fit leans on.
     influence: Influential | None = None
     robustness: AnalysisSensitivity | None = None

@@ -32,7 +32,6 @@ from study.statistics.analysis.linear_model import (
     term_name,
 )
 from study.statistics.analysis.normality import (
-    NormalityResult,
     RyanJoinerResult,
     anderson_darling,
     block_share,
@@ -77,7 +76,6 @@ def assumptions_of(out: AnalysisResult) -> AnalysisResult:
             non_additivity=non_additivity(out.fit),
             anderson_darling=anderson_darling(out.fit.residual),
             shapiro_wilk=shapiro_wilk(out.fit.residual),
-            jarque_bera=jarque_bera(out.fit.residual),
             influence=influential(out.fit),
         )
     return replace(out, assumptions=tests)
@@ -98,14 +96,6 @@ _MOST_NUMBERS = 1e7
 #: A block that carries more than this share of the interaction, with this p, is named.
 SHARE_P = 0.05
 _OWN = "each effect is tested against its own interaction with the blocks, whose spreads may differ"
-
-
-def jarque_bera(residual: Array) -> NormalityResult:
-    """Test skewness and kurtosis together (Jarque and Bera 1987, Int. Stat. Rev. 55, 163)."""
-    from statsmodels.stats.stattools import jarque_bera as of_values
-
-    statistic, p, _, _ = of_values(residual)
-    return NormalityResult("Jarque-Bera", float(statistic), float(p))
 
 
 def _by_contrast(out: AnalysisResult, table: Crossed) -> tuple[Assumptions, tuple[str, ...]]:
