@@ -242,12 +242,6 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
             lambda frame: residual_figures.draw_residuals(frame, facts, data),
             lambda frame: residuals(facts, data, len(frame)),
         ),
-        "distribution": (
-            "Distribution of residuals",
-            lambda: residual_figures.diagnostic_residual_points(facts),
-            lambda frame: residual_figures.draw_distribution(frame, facts),
-            lambda frame: sentence(f"share of the {len(frame)} rows below each residual"),
-        ),
         "spread": (
             "Spread of the cells",
             lambda: residual_figures.spread_of_cells(facts, data.alpha),
@@ -281,7 +275,6 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
         "means": any(effect.range is not None for effect in facts.terms),
         "interactions": len(data.factors) > 1,
         "residuals": not is_saturated,
-        "distribution": not is_saturated,
         "spread": not is_saturated,
         "contrasts": result.lenth is not None,
         "depth": any(row.response == facts.name for row in data.depths),

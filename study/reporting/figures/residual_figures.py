@@ -228,17 +228,6 @@ MOST_JOINED = 300
 NAMED = 5
 
 
-def draw_distribution(frame: pd.DataFrame, facts: Facts) -> Canvas:
-    """Draw the share of residuals below each value."""
-    import seaborn as sns
-
-    figure, ax = style.one_panel(2.4)
-    sns.ecdfplot(frame, x="residual", color=style.color_of(0), ax=ax)
-    ax.set_xlabel(style.labeled("residual", facts.scale))
-    ax.set_ylabel("share of rows below")
-    return figure
-
-
 def residual_points(rows: pd.DataFrame) -> pd.DataFrame:
     """Every row with the normal score of its residual (Blom 1958)."""
     from scipy.special import ndtri
