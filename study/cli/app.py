@@ -171,10 +171,7 @@ GROUPS: dict[str, dict[Callable[..., None], str]] = {
         single_commands.tracking: "study tracking tracker.toml",
         single_commands.shape: "study shape problem.toml --scan scan.ply",
     },
-    "Tools": {
-        single_commands.doctor: "study doctor",
-        single_commands.energies: "study energies",
-    },
+    "Tools": {single_commands.doctor: "study doctor"},
 }
 VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
 for group, verbs in GROUPS.items():

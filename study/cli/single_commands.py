@@ -75,13 +75,6 @@ def solve(
         raise typer.Exit(1)
 
 
-def energies(as_json: Json = False) -> None:
-    """List the energies that a material may have."""
-    from study.api import energy_list
-
-    output.show(energy_list.energies(), as_json, energy_list.EnergyList.blocks)
-
-
 def doctor(as_json: Json = False) -> None:
     """Check the installation."""
     from study.simulation.tasks import examine
