@@ -9,22 +9,26 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from operator import getitem
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar, get_type_hints
 
 import typer
 
 from study.ground.errors import Fault, InputError, StudyError
+from study.reporting.content.blocks import Block
+from study.reporting.content.text import THIN, duration
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
     from study.api.assemble import StudyResult
     from study.api.planning import Plan
     from study.harness.runner.batch import Progress
-    from study.reporting.content.blocks import Block
 
 
 T = TypeVar("T")
+#: words that need not be given
+Text = str | None
 
 #: seconds between two lines of progress where there is no terminal to redraw
 QUIET_S = 10.0
@@ -36,6 +40,17 @@ SAME = 4
 def option(words: str, *names: str, min: float | None = None, max: float | None = None) -> object:
     """Option of a verb with its help."""
     return typer.Option(*names, help=words, min=min, max=max)
+
+
+def described(verb: Callable[..., None]) -> Callable[..., None]:
+    """Verb with an option for each argument that its annotation describes in words alone."""
+    hints = get_type_hints(verb, include_extras=True)
+    for name, hint in hints.items():
+        words = getattr(hint, "__metadata__", ())
+        if words and isinstance(words[0], str):
+            hints[name] = getitem(Annotated, (hint.__origin__, option(words[0])))
+    verb.__annotations__ = hints
+    return verb
 
 
 def argument(words: str, offered: Callable[..., list[str]] | None = None) -> object:
@@ -98,8 +113,6 @@ def warn(messages: Sequence[str]) -> None:
 
 def seconds(value: float) -> str:
     """Give a duration in words."""
-    from study.reporting.content.text import THIN, duration
-
     return duration(value).replace(THIN, " ")
 
 

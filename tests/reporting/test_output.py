@@ -62,7 +62,7 @@ def test_reference_cycles_are_looked_for_again_after_a_report(tmp_path, data, mo
         assert not gc.isenabled()
         raise OSError("disk full")
 
-    monkeypatch.setattr(write, "_numbers", broken)
+    monkeypatch.setattr(write, "write_numbers", broken)
     with pytest.raises(OSError, match="disk full"):
         write.write(data, tmp_path)
     assert gc.isenabled()

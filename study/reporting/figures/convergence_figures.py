@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from study.ground.arrays import Array
 from study.reporting.content.blocks import Document
 from study.reporting.content.tables import label_of
-from study.reporting.content.text import clean, count, name_of, percent
+from study.reporting.content.text import clean, count, name_of, percent, sentence
 from study.reporting.figures import axes as style
 
 #: more panels than these are no picture any more; the table has them all
@@ -65,7 +65,7 @@ def _titles(cells: Sequence[Document]) -> list[str]:
     return [" / ".join(labels[key] for key in shown if key in labels) for labels in levels]
 
 
-def draw_values(frame: pd.DataFrame) -> Canvas:
+def draw_values(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
     """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
     figure, axes = style.panels(len(groups), COLUMNS, 2.1)
@@ -126,11 +126,16 @@ def error_points(cells: Sequence[Document]) -> pd.DataFrame:
     return positive.reset_index(drop=True)
 
 
-def draw_errors(frame: pd.DataFrame) -> Canvas:
+def draw_errors(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
     """Draw the error against the mesh size in logarithms, with the formal slope beside."""
     figure, ax = style.one_panel(3.8)
     _errors_of_cells(ax, frame, "mesh_size")
-    _slopes(ax, frame)
+    h = np.array([frame["mesh_size"].min(), frame["mesh_size"].max()])
+    start = float(frame["error"].min()) / 2
+    for k, order in enumerate(sorted({round(float(p), 2) for p in frame["formal_order"].dropna()})):
+        y = start * 0.7**k * (h / h[0]) ** order
+        ax.plot(h, y, color=style.RULE, linewidth=1.2, linestyle="--", zorder=0)
+        ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=style.MUTED, va="center")
     _logarithmic(ax, "mesh size (mm)", "distance to the limit, part of it")
     sizes = np.geomspace(frame["mesh_size"].min(), frame["mesh_size"].max(), 5)
     ax.set_xticks(sizes, [f"{size:.2g}" for size in sizes])
@@ -146,20 +151,15 @@ def _errors_of_cells(ax: Axes, frame: pd.DataFrame, across: str) -> None:
         )  # fmt: skip
 
 
-def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
-    """Draw a line of each formal order below the points."""
-    h = np.array([frame["mesh_size"].min(), frame["mesh_size"].max()])
-    start = float(frame["error"].min()) / 2
-    for k, order in enumerate(sorted({round(float(p), 2) for p in frame["formal_order"].dropna()})):
-        y = start * 0.7**k * (h / h[0]) ** order
-        ax.plot(h, y, color=style.RULE, linewidth=1.2, linestyle="--", zorder=0)
-        ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=style.MUTED, va="center")
+def front_points(front: Document) -> pd.DataFrame:
+    """Error and seconds of every solution."""
+    return pd.DataFrame(front["points"])
 
 
-def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
+def draw_front(front: Document, frame: pd.DataFrame) -> Canvas:
     """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
     figure, ax = style.one_panel(3.8)
-    frame = frame.assign(error=frame["error"].clip(lower=1e-12))
+    accuracy, frame = front["accuracy"], frame.assign(error=frame["error"].clip(lower=1e-12))
     ax.axhspan(float(frame["error"].min()) / 3, accuracy, color=style.BAND, zorder=0)
     ax.axhline(accuracy, color=style.MUTED, linewidth=0.8)
     _errors_of_cells(ax, frame, "seconds")
@@ -204,7 +204,7 @@ def _logarithmic(ax: Axes, x: str, y: str) -> None:
     ax.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
-def value_caption(cells: Sequence[Document]) -> str:
+def value_caption(cells: Sequence[Document], _frame: pd.DataFrame) -> str:
     """State how many cells converge, and what the marks are."""
     good = [c for c in cells if c["u_num"] is not None and c["behaviour"] != DIVERGENT]
     shares = [c["u_num"] / abs(c["value"][0]) for c in good if c["value"][0]]
@@ -219,7 +219,7 @@ def value_caption(cells: Sequence[Document]) -> str:
     return f"{text}. Points: meshes{line}{bar}.{more}"
 
 
-def error_caption(cells: Sequence[Document]) -> str:
+def error_caption(cells: Sequence[Document], _frame: pd.DataFrame) -> str:
     """State observed beside formal orders, and why the formal order is what it is."""
     orders = [c["observed_order"] for c in cells if c["observed_order"] is not None]
     if not orders:
@@ -227,6 +227,16 @@ def error_caption(cells: Sequence[Document]) -> str:
     why = "; ".join(dict.fromkeys(str(c["formal_reason"]) for c in cells if c.get("formal_reason")))
     text = f"Observed orders {min(orders):.2f} to {max(orders):.2f}."
     return f"{text} Dashed: the formal order, limited by {why}." if why else text
+
+
+VALUES: style.Plot = ("Value against mesh size", value_points, draw_values, value_caption)
+FRONT: style.Plot = (
+    "Error against seconds",
+    front_points,
+    draw_front,
+    lambda front, _: sentence(front["answer"]),
+)
+ERRORS: style.Plot = ("Error and formal order", error_points, draw_errors, error_caption)
 
 
 # Comparison of simulation and measurement: E and u_val along the curve (ASME V&V 20).
@@ -245,7 +255,7 @@ def validation_error_points(rows: Sequence[Document]) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
+def draw_validation_errors(_rows: Sequence[Document], frame: pd.DataFrame) -> Canvas:
     """Draw E along the curve on the band of u_val, a panel a cell, on shared axes."""
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
     figure, axes = style.panels(len(groups), COLUMNS, 1.9, sharex=True, sharey=True)
@@ -260,7 +270,7 @@ def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
     return figure
 
 
-def caption(rows: Sequence[Document]) -> str:
+def validation_caption(rows: Sequence[Document], _frame: pd.DataFrame) -> str:
     """State in how many cells the model's error shows, and what is not known."""
     judged = [row for row in rows if row["u_val_N"][-1] > 0]
     rest = len(rows) - len(judged)
@@ -274,3 +284,11 @@ def caption(rows: Sequence[Document]) -> str:
         f"cells{block}{unjudged}. Band: u_val, from mesh, uncertain "
         f"inputs and scatter of the data.{lacking}"
     )
+
+
+VALIDATION: style.Plot = (
+    "Comparison error along the curve",
+    validation_error_points,
+    draw_validation_errors,
+    validation_caption,
+)

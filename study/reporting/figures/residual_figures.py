@@ -10,9 +10,22 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.typing import HashableList
+from scipy.special import chdtri, ndtri
 
+from study.reporting.content.effect_words import normality_phrase
 from study.reporting.content.report_facts import Facts
-from study.reporting.content.text import clean, count, name_of, p_value, sentence, term_name
+from study.reporting.content.text import (
+    clean,
+    count,
+    listing,
+    name_of,
+    p_phrase,
+    p_value,
+    quantity,
+    sentence,
+    significant,
+    term_name,
+)
 from study.reporting.figures import axes as style
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.unreplicated import pseudo_standard_error
@@ -60,7 +73,7 @@ def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
+def draw_contrasts(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw the Pareto plot on the left, the half-normal plot on the right."""
     shown = frame.head(_MOST_BARS)
     figure = style.canvas(max(3.4, 1.0 + 0.2 * len(shown)))
@@ -69,6 +82,25 @@ def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
     _pareto(pareto, shown, label)
     _half_normal(half, frame, label)
     return figure
+
+
+def contrasts_caption(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> str:
+    """Say which contrasts stand out, and what the limits are."""
+    beyond = frame[frame["active"]]
+    m = count(len(frame), "contrast")
+    if beyond.empty:
+        finding = f"none of the {m} exceeds the margin of error"
+    else:
+        named = [
+            f"{name} ({p_phrase(p)})" for name, p in zip(beyond["name"], beyond["p"], strict=True)
+        ]
+        shown = named if len(named) <= 5 else [*named[:5], f"{len(named) - 5} more"]
+        finding = f"beyond the margin of error, of {m}: {listing(shown)}"
+    margin, every = (quantity(frame[k].iloc[0], facts.scale) for k in ("margin", "simultaneous"))
+    return sentence(
+        f"{finding}. Dashed: limit of one contrast, {margin}; dotted: of all together, {every} "
+        "(Lenth, simulated); contrasts that follow the shaded envelope look like no effect at all"
+    )
 
 
 def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
@@ -118,7 +150,7 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
 _SIMULATIONS = 1000
 
 
-def diagnostic_residual_points(facts: Facts) -> pd.DataFrame:
+def diagnostic_residual_points(facts: Facts, _data: ReportData) -> pd.DataFrame:
     """Residuals of one representative of each computation, with their normal scores."""
     if facts.result is None or facts.result.residuals.empty:
         raise ValueError("there are no residuals")
@@ -165,16 +197,14 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
     ax.set(xlabel="", ylabel=label)
 
 
-def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
+def spread_of_cells(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Give each cell's deviation with a chi-squared interval, approximate after blocks."""
-    from scipy.special import chdtri
-
-    frame = diagnostic_residual_points(facts)
+    frame = diagnostic_residual_points(facts, data)
     grouped = frame.groupby("cell", sort=False)["residual"].agg(["std", "count"])
     grouped = grouped[grouped["count"] > 1].sort_values("std", ascending=False)
     if grouped.empty:
         raise ValueError("no cell holds two residuals")
-    tail = alpha / (2 * len(grouped))
+    tail = data.alpha / (2 * len(grouped))
     df = grouped["count"].to_numpy(float) - 1
     sd = grouped["std"].to_numpy(float)
     return pd.DataFrame(
@@ -193,7 +223,7 @@ def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
 MOST_SPREAD = 60
 
 
-def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
+def draw_spread(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
     import seaborn as sns
 
@@ -214,6 +244,18 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     return figure
 
 
+def spread_caption(_facts: Facts, _data: ReportData, frame: pd.DataFrame) -> str:
+    """Say how far the largest and the smallest standard deviation are apart."""
+    low, high = float(frame["sd"].min()), float(frame["sd"].max())
+    apart = float(frame["low"].max()) > float(frame["high"].min())
+    ratio = f"{significant(high / low)} times" if low > 0 else "far above"
+    few = f"; the {MOST_SPREAD} largest of {len(frame)} are drawn" * (len(frame) > MOST_SPREAD)
+    return sentence(
+        f"the largest standard deviation is {ratio} the smallest, and the intervals "
+        f"{'do not all overlap' if apart else 'all overlap'}{few}"
+    )
+
+
 # Residual plots of a table of measurements: four in one, against the factors, influence.
 #
 # At most :data:`MOST_POINTS` rows are drawn, the largest residuals among them: a drawing of 100,000
@@ -230,8 +272,6 @@ NAMED = 5
 
 def residual_points(rows: pd.DataFrame) -> pd.DataFrame:
     """Every row with the normal score of its residual (Blom 1958)."""
-    from scipy.special import ndtri
-
     n = len(rows)
     order = rows["residual"].rank(method="first").to_numpy(float)
     return rows.assign(score=ndtri((order - 0.375) / (n + 0.25)))
@@ -257,9 +297,11 @@ def drawn_words(points: pd.DataFrame) -> str:
 
 
 def draw_residuals(
-    points: pd.DataFrame, facts: Facts, data: ReportData, *, ordered: bool = False
+    facts: Facts, data: ReportData, points: pd.DataFrame, *, ordered: bool = False
 ) -> Canvas:
     """Draw views of the residuals; rows of a table have an order, runs have none."""
+    import seaborn as sns
+
     rows: list[HashableList[str]]
     rows = [["normal", "fits"], ["histogram", "order"], ["factors", "factors"]]
     if not ordered:
@@ -271,7 +313,11 @@ def draw_residuals(
     _against(panels["fits"], shown["fitted"], shown["residual"])
     where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
     panels["fits"].set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
-    _histogram(panels["histogram"], points["residual"].to_numpy(float), label)
+    bins = int(np.clip(np.ceil(1 + np.log2(len(points))), 4, 40))  # Sturges 1926
+    look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
+    values = points["residual"].to_numpy(float)
+    sns.histplot(x=values, bins=bins, alpha=1, ax=panels["histogram"], **look)
+    panels["histogram"].set(title="histogram", xlabel=label, ylabel="rows")
     _against_factors(panels["factors"], shown, data, label)
     if ordered:
         last = panels["order"]
@@ -280,6 +326,15 @@ def draw_residuals(
             last.lines[-1].set(linestyle="-", linewidth=0.7)
         last.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
     return figure
+
+
+def residuals_caption(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
+    """Summarize the four panels and the test."""
+    return sentence(
+        f"{count(len(frame), 'residual')} of block and cell, one cell for each distinct "
+        f"computation; {normality_phrase(facts, data.alpha)}. Run order means nothing for "
+        "deterministic runs, so residuals stand against the factors instead"
+    )
 
 
 def _probability(
@@ -306,15 +361,6 @@ def _probability(
 def _against(ax: Axes, x: pd.Series, residual: pd.Series) -> None:
     ax.axhline(0, color=style.MUTED, linewidth=0.7)
     ax.plot(x, residual, "o", markersize=3.2, alpha=0.7, color=style.color_of(0), markeredgewidth=0)
-
-
-def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
-    import seaborn as sns
-
-    bins = int(np.clip(np.ceil(1 + np.log2(values.size)), 4, 40))  # Sturges 1926
-    look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
-    sns.histplot(x=values, bins=bins, alpha=1, ax=ax, **look)
-    ax.set(title="histogram", xlabel=label, ylabel="rows")
 
 
 def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
@@ -351,3 +397,10 @@ def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) 
         title="residual against leverage", xlabel="leverage", ylabel="standardized residual"
     )
     return figure
+
+
+PLOTS: dict[str, style.Plot] = {
+    "residuals": ("Residuals", diagnostic_residual_points, draw_residuals, residuals_caption),
+    "spread": ("Spread of the cells", spread_of_cells, draw_spread, spread_caption),
+    "contrasts": ("Contrasts without replicates", contrasts, draw_contrasts, contrasts_caption),
+}

@@ -148,13 +148,29 @@ def write(
         pages = prepare(report_data, None if is_undrawn else worker)
         stem = slug(report_data.name)
         files = write_pages(folder, stem, pages, chosen)
-        _numbers(report_data, files)
+        numbers = {
+            response.name: None if response.result is None else response.result.to_json()
+            for response in report_data.analyses
+        }
+        write_numbers(files, {"study": report_data.name, "responses": numbers})
         replace_file(files / "cases.csv", of_frame(report_data.table))
         if report_data.curves:
             packed = gzip.compress(_points(report_data.curves).encode(), 6, mtime=0)
             replace_bytes(files / "curves.csv.gz", packed)
         if "tex" in chosen:
-            replace_file(folder / f"{stem}.tex", _latex(report_data, pages))
+            all_facts = facts(report_data)
+            captions = {"verdicts": "Verdicts"}
+            captions |= {
+                f"{f.name}-anova": f"Analysis of variance of the {f.title}" for f in all_facts
+            }
+            captions |= {"cells": "Cells"}
+            captioned = [
+                (words, pages.tables[n]) for n, words in captions.items() if n in pages.tables
+            ]
+            replace_file(
+                folder / f"{stem}.tex",
+                document(captioned, paragraph(report_data, all_facts), slug(report_data.name)),
+            )
     return main_file(folder, stem, chosen)
 
 
@@ -259,14 +275,6 @@ def write_figures(files: Path, figures: Iterable[Figure], *, drawn: bool = True)
             replace_file(files / f"figure-{figure.name}.svg", figure.svg + "\n")
 
 
-def _numbers(data: ReportData, files: Path) -> None:
-    numbers = {
-        response.name: None if response.result is None else response.result.to_json()
-        for response in data.analyses
-    }
-    write_numbers(files, {"study": data.name, "responses": numbers})
-
-
 def write_numbers(files: Path, document: Document) -> None:
     """Write what ``--json`` prints beside a page."""
     text = json.dumps(document, indent=1, allow_nan=False)
@@ -285,15 +293,6 @@ def _points(curves: Sequence[CurvePair]) -> str:
         points = zip(d.tolist(), measured.tolist(), force, strict=True)
         parts += [f"{head},{x!r},{m!r},{f}\n" for x, m, f in points]
     return "".join(parts)
-
-
-def _latex(data: ReportData, pages: Pages) -> str:
-    all_facts = facts(data)
-    captions = {"verdicts": "Verdicts"}
-    captions |= {f"{f.name}-anova": f"Analysis of variance of the {f.title}" for f in all_facts}
-    captions |= {"cells": "Cells"}
-    captioned = [(words, pages.tables[n]) for n, words in captions.items() if n in pages.tables]
-    return document(captioned, paragraph(data, all_facts), slug(data.name))
 
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
