@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -204,7 +205,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     gc.set_threshold(50_000, 20, 20)
     typed = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        given = [_with_digest(word) for word in typed]
+        # a digest may be written as the value of --allow-commands
+        given = [re.sub("^--allow-commands=", "--allow-digest=", word) for word in typed]
         with names_in_bounds():
             code = _parser(app)(given, prog_name="study", standalone_mode=False)
     except StudyError as error:
@@ -229,12 +231,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         with suppress(OSError):  # a terminal that was closed cannot be written to
             print(interrupted(typed), file=sys.stderr)
     return code if isinstance(code, int) else 0
-
-
-def _with_digest(word: str) -> str:
-    """Option of a digest, where one is written as the value of --allow-commands."""
-    option, equals, digest = word.partition("=")
-    return f"--allow-digest={digest}" if option == "--allow-commands" and equals else word
 
 
 def _interrupt(number: int, frame: object) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from operator import getitem
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, get_type_hints
 
 import typer
 
@@ -26,9 +26,10 @@ if TYPE_CHECKING:
     from study.harness.runner.batch import Progress
 
 
-T = TypeVar("T")
 #: words that need not be given
 Text = str | None
+#: of an option that has no opposite ``--no-...``
+SWITCH = object()
 
 #: seconds between two lines of progress where there is no terminal to redraw
 QUIET_S = 10.0
@@ -48,7 +49,8 @@ def described(verb: Callable[..., None]) -> Callable[..., None]:
     for name, hint in hints.items():
         words = getattr(hint, "__metadata__", ())
         if words and isinstance(words[0], str):
-            hints[name] = getitem(Annotated, (hint.__origin__, option(words[0])))
+            names = [f"--{name.replace('_', '-')}"] if SWITCH in words else []
+            hints[name] = getitem(Annotated, (hint.__origin__, option(words[0], *names)))
     verb.__annotations__ = hints
     return verb
 
@@ -68,17 +70,17 @@ def print_json(result: object) -> None:
 
 
 def show(
-    result: T,
+    result: object,
     as_json: bool,
-    blocks: Callable[[T], Iterable[Block | None]],
+    blocks: Iterable[Block | None],
     warnings: Sequence[str] = (),
 ) -> None:
-    """Print what a verb found, in blocks or as JSON, after its warnings."""
+    """Print what a verb found as JSON or, then only made, in blocks, after its warnings."""
     warn(warnings)
     if as_json:
         print_json(result)
     else:
-        say(blocks(result))
+        say(blocks)
 
 
 def complain(error: StudyError) -> None:

@@ -13,7 +13,7 @@ import typer
 
 from study import api
 from study.cli import output
-from study.cli.output import Text, argument, designs, option
+from study.cli.output import SWITCH, Text, argument, designs, option
 from study.cli.study_commands import REPORTS, RESULTS, Data, Jobs, Json, Reports, Results, Set
 from study.ground import units
 from study.ground.errors import Fault, InputError
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from study.simulation.staged_fit import FitStep
 
 
-Numerics = Annotated[bool, option("Bound the error by meshes and load steps.", "--numerics")]
+Numerics = Annotated[bool, "Bound the error by meshes and load steps.", SWITCH]
 Resamples = Annotated[int, option("Intervals from this many resampled fits.", "--bootstrap")]
 
 
@@ -47,16 +47,12 @@ def solve(
     vtu: Annotated[
         Path | None, "Fields for ParaView: .vtu of the last step, .pvd of all of them."
     ] = None,
-    whole: Annotated[
-        bool, option("Mirror the fields at the planes of symmetry.", "--whole")
-    ] = False,
-    follow: Annotated[
-        bool, option("Go on behind an instability, on the whole body.", "--follow")
-    ] = False,
+    whole: Annotated[bool, "Mirror the fields at the planes of symmetry.", SWITCH] = False,
+    follow: Annotated[bool, "Go on behind an instability, on the whole body.", SWITCH] = False,
     as_json: Json = False,
 ) -> None:
     """Simulate one test."""
-    from study.api.solving import SolvedProblem, cautions, writable, write_picture, write_vtu
+    from study.api.solving import cautions, writable, write_picture, write_vtu
 
     writable(picture, vtu)
     output.warn(cautions(file, settings or ()))
@@ -67,7 +63,7 @@ def solve(
         for path, write in ((picture, write_picture), (vtu, partial(write_vtu, whole=whole))):
             if path is not None:
                 write(solution, path)
-    output.show(solution, as_json, SolvedProblem.blocks)
+    output.show(solution, as_json, solution.blocks())
     if solution.status != "converged":
         raise typer.Exit(1)
 
@@ -79,7 +75,7 @@ def doctor(as_json: Json = False) -> None:
     findings = examine()
     heads = ("name", "outcome", "finding")
     rows = tuple(tuple(check[head] for head in heads) for check in findings["checks"])
-    output.show(findings, as_json, lambda _: [Table("", ("check", *heads[1:]), rows)])
+    output.show(findings, as_json, [Table("", ("check", *heads[1:]), rows)])
     if not findings["ok"]:
         raise typer.Exit(1)
 
@@ -94,9 +90,7 @@ def calibrate(
     profiles: Annotated[bool, option("Profile-likelihood intervals.", "--profile")] = False,
     numerics: Numerics = False,
     bootstrap: Resamples = 0,
-    energies: Annotated[
-        bool, option("Fit every energy and weigh them by AICc.", "--energies")
-    ] = False,
+    energies: Annotated[bool, "Fit every energy and weigh them by AICc.", SWITCH] = False,
     method: Annotated[str, "auto, or analytic: moduli of indentations in closed form."] = "",
     by: Annotated[Text, "Fit every 'test' for itself: are the constants equal (Wald test)?"] = None,
     difference: Annotated[
@@ -135,12 +129,14 @@ def calibrate(
                 zero=uncertain,
             )
         document = compared.to_json()
-        output.show(document, as_json, comparison_blocks, [] if as_json else document["warnings"])
+        warnings = [] if as_json else document["warnings"]
+        output.show(document, as_json, comparison_blocks(document), warnings)
         return
     if energies:
         with _iterations() as progress:
             choice = api.choose_energy(file, data=data, overrides=overrides, progress=progress)
-        output.show(choice.to_json(), as_json, energy_blocks)
+        document = choice.to_json()
+        output.show(document, as_json, energy_blocks(document))
         return
     with _iterations() as progress:
         calibrated = api.calibrate(
@@ -150,7 +146,7 @@ def calibrate(
     document = calibrated.to_json()
     if convention != "study":
         document["converted"] = vars(calibrated.converted(convention))
-    output.show(document, as_json, calibration_blocks)
+    output.show(document, as_json, calibration_blocks(document))
     if not as_json:
         names = ("calibration.json", "calibration.svg", "recording.svg")
         output.warn(document["warnings"])
@@ -166,7 +162,8 @@ def inspect(
     as_json: Json = False,
 ) -> None:
     r"""Show what a recorded file holds, and the table \[measurements] that reads it."""
-    output.show(api.inspect(file, sheet=sheet), as_json, inspection_blocks)
+    inspection = api.inspect(file, sheet=sheet)
+    output.show(inspection, as_json, inspection_blocks(inspection))
 
 
 def inspection_blocks(inspection: Inspection) -> Iterator[Block]:
@@ -272,7 +269,8 @@ def converge(
     cells = document.get("cells", [document])
     from study.reporting.output.convergence_page import series_blocks, series_warnings
 
-    output.show(document, as_json, series_blocks, [] if as_json else series_warnings(cells))
+    warnings = [] if as_json else series_warnings(cells)
+    output.show(document, as_json, series_blocks(document), warnings)
     if any(mesh["status"] != "converged" for cell in cells for mesh in cell.get("meshes", ())):
         raise typer.Exit(1)
 
@@ -297,7 +295,7 @@ def closed_form(
     """Fit the moduli of a calibration file in closed form and show them."""
     calibration = api.indentation_modulus(file, data=data, overrides=settings, results=results)
     warnings = [text for test in calibration.tests for text in test.warnings]
-    output.show(calibration, as_json, moduli_blocks, warnings)
+    output.show(calibration, as_json, moduli_blocks(calibration), warnings)
     if not as_json:
         folder = results / calibration.name
         print(f"written: {folder / 'analytic.json'}, {folder / 'moduli.csv'}")
@@ -383,9 +381,8 @@ def export(
             source, form=form, case=case, test=test, tolerance=tolerance,
             overrides=settings or (), out=reports, progress=_say,
         )  # fmt: skip
-    output.show(
-        files.document, as_json, lambda _: _files(files.sentences, *files.paths), files.warnings
-    )
+    blocks = _files(files.sentences, *files.paths)
+    output.show(files.document, as_json, blocks, files.warnings)
 
 
 def _files(lines: Iterable[str], *paths: Path | str | None) -> Iterator[Block]:
@@ -413,7 +410,7 @@ def require(
     answer = api.require(file, overrides=settings or (), jobs=jobs, out=reports, progress=_say)
     page = Verbatim(f"report: {answer.report}")
     blocks: list[Block] = [*map(Sentence, answer.sentences()), errors(answer), page]
-    output.show(answer, as_json, lambda _: blocks, answer.warnings)
+    output.show(answer, as_json, blocks, answer.warnings)
 
 
 # Verbs that compare with an instrument: tracking, shape.
@@ -426,11 +423,11 @@ def tracking(
     as_json: Json = False,
 ) -> None:
     """Judge a tracker: fixed distances, commanded displacements, a better instrument."""
-    from study.reporting.output.laboratory_pages import tracker_answers as answers
+    from study.reporting.output.laboratory_pages import tracker_answers
 
     accuracy = api.tracking(file, data=data, reports=reports)
-    shown = _files(answers(accuracy), accuracy.report)
-    output.show(accuracy, as_json, lambda _: shown, accuracy.notes)
+    blocks = _files(tracker_answers(accuracy), accuracy.report)
+    output.show(accuracy, as_json, blocks, accuracy.notes)
 
 
 def shape(
@@ -441,21 +438,19 @@ def shape(
     ] = None,
     unit: Annotated[str, "Unit of scan and markers."] = "mm",
     surface_unit: Annotated[str, "Unit of a simulated surface file."] = "mm",
-    as_it_lies: Annotated[bool, option("Compare without registration.", "--as-it-lies")] = False,
-    any_state: Annotated[
-        bool, option("Also a scan that another state fits better.", "--any-state")
-    ] = False,
+    as_it_lies: Annotated[bool, "Compare without registration.", SWITCH] = False,
+    any_state: Annotated[bool, "Also a scan that another state fits better.", SWITCH] = False,
     settings: Set = None,
     reports: Reports = REPORTS,
     as_json: Json = False,
 ) -> None:
     """Compare a simulated, deformed body with a scan of the real one."""
     from study.laboratory.shape.shape_deviation import ShapeOptions as Options
-    from study.reporting.output.laboratory_pages import scan_answers as answers
+    from study.reporting.output.laboratory_pages import scan_answers
 
     deviation = api.shape(
         simulation, scan, markers=markers, unit=unit, surface_unit=surface_unit,
         options=Options(not as_it_lies, any_state), overrides=settings or (), reports=reports,
     )  # fmt: skip
-    words = answers(deviation)
-    output.show(deviation, as_json, lambda _: _files(words, deviation.report), deviation.notes)
+    blocks = _files(scan_answers(deviation), deviation.report)
+    output.show(deviation, as_json, blocks, deviation.notes)

@@ -132,7 +132,16 @@ def analyze(
         rule = "is read with an analysis of variance of labeled factors alone"
         raise InputError(Fault("--sheet", rule, "save the sheet as CSV"))
     if summary:
-        _show_moments(source, listed(summary), flags | {"--numeric": numeric}, alpha, as_json)
+        refuse_useless(
+            flags | {"--numeric": numeric}, _OF_MOMENTS, "groups of which only moments are known"
+        )
+        from study.api.analyzing import analyze_summary
+
+        groups = analyze_summary(
+            source, listed(flags["--factors"]), listed(summary), practical=flags["--practical"],
+            alpha=0.05 if alpha is None else alpha, decimal=flags["--decimal"] or ".",
+        )  # fmt: skip
+        output.show(groups, as_json, _summaries(groups))
         return
     if numeric and surface != "none":
         _show_surfaces(source, listed(numeric), surface, flags, as_json)
@@ -302,26 +311,11 @@ def _show_mixed(
     alpha = options.get("alpha", 0.05)
     document = {"method": "REML", "alpha": alpha, **vars(model)}
     response = flags["--response"] or ""
-    blocks = analysis_content.mixed_blocks
-    output.show(document, as_json, lambda _: blocks(model, response, alpha))
+    output.show(document, as_json, analysis_content.mixed_blocks(model, response, alpha))
 
 
 #: flags that groups of which only moments are known have a use for; a format has a default
 _OF_MOMENTS = {"--factors", "--practical", "--alpha", "--decimal", "--format"}
-
-
-def _show_moments(
-    source: Path, columns: Sequence[str], flags: Flags, alpha: float | None, as_json: bool
-) -> None:
-    """Compare groups of which mean, standard deviation and number of rows are known."""
-    refuse_useless(flags, _OF_MOMENTS, "groups of which only moments are known")
-    from study.api.analyzing import analyze_summary
-
-    groups = analyze_summary(
-        source, listed(flags["--factors"]), columns, practical=flags["--practical"],
-        alpha=0.05 if alpha is None else alpha, decimal=flags["--decimal"] or ".",
-    )  # fmt: skip
-    output.show(groups, as_json, _summaries)
 
 
 def _summaries(groups: SummaryAnalysis) -> Iterator[Block]:
@@ -425,12 +419,9 @@ def optimize(
     )  # fmt: skip
     notes = [note for recommended in recommendations for note in recommended.notes]
     document = {"recommendations": [recommended.to_json() for recommended in recommendations]}
-    blocks = surface_content.recommendation_blocks
-    output.show(document, as_json, lambda _: blocks(recommendations), notes)
-    if any(
-        recommended.confirmed is not None and not recommended.confirmed.predicted
-        for recommended in recommendations
-    ):
+    output.show(document, as_json, surface_content.recommendation_blocks(recommendations), notes)
+    confirmed = [recommended.confirmed for recommended in recommendations]
+    if any(run is not None and not run.predicted for run in confirmed):
         raise typer.Exit(1)
 
 
@@ -456,7 +447,7 @@ def invert(
         in_units=listed(units), within=within, decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
-    output.show(answer, as_json, surface_content.inversion_blocks, answer.notes)
+    output.show(answer, as_json, surface_content.inversion_blocks(answer), answer.notes)
     if answer.best_run is not None and not answer.best_run.agrees:
         raise typer.Exit(1)
 
@@ -495,7 +486,7 @@ def power(
     """Say how many specimens a claim needs, and what they cost."""
     scatter = None if sd is None else _scatter(sd)
     answer = api.power(design, sd=scatter, data=data, results=results, overrides=settings or ())
-    output.show(answer, as_json, _power, answer.warnings)
+    output.show(answer, as_json, _power(answer), answer.warnings)
 
 
 def _scatter(text: str) -> float | dict[str, float]:

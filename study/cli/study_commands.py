@@ -12,7 +12,7 @@ import typer
 
 from study import api
 from study.cli import output
-from study.cli.output import Text, argument, option
+from study.cli.output import SWITCH, Text, argument, option
 from study.ground.errors import Fault, InputError
 from study.ground.units import listed
 from study.reporting.content.blocks import Block, Document, Sentence, Table, Verbatim
@@ -34,7 +34,7 @@ Study = Annotated[Path, argument("Results folder, design file or study name.", o
 Jobs = Annotated[int | None, option("Workers; one a core.", "--jobs", "-j", min=1)]
 Results = Annotated[Path, "Where results are kept."]
 Reports = Annotated[Path, "Where reports are written."]
-Commands = Annotated[bool, option("Let the study run the programs it names.", "--allow-commands")]
+Commands = Annotated[bool, "Let the study run the programs it names.", SWITCH]
 #: levels of a factor beyond which a plan lists the ends only
 MANY = 6
 #: rows of a matrix that are looked at on a terminal; of a longer one the first stand for the rest
@@ -206,7 +206,7 @@ def run(
         str, "Compute on a Dask cluster: its address, or its scheduler file."
     ] = "",
     confirm: Annotated[
-        bool, option("Run the extremes that confirm verdicts over numbers.", "--confirm")
+        bool, "Run the extremes that confirm verdicts over numbers.", SWITCH
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -256,7 +256,7 @@ def status(
 ) -> None:
     """Print the progress of a study, from another shell too."""
     state = api.status(path, results=results, judged=as_json)
-    output.show(state, as_json, _status, state["warnings"])
+    output.show(state, as_json, _status(state), state["warnings"])
 
 
 def _status(state: Document) -> Iterator[Block]:
@@ -308,7 +308,7 @@ def diff(
 
     comparison = api.diff(first, second, results=results)
     shown = replace(comparison.beside, warnings=())  # they are on stderr
-    output.show(comparison, as_json, lambda _: beside_blocks(shown), comparison.warnings)
+    output.show(comparison, as_json, beside_blocks(shown), comparison.warnings)
 
 
 def why(
@@ -324,7 +324,7 @@ def why(
     state = api.explain(case, study=study, results=results, data=data)
     facts = {"use": state.use, "changes": state.changes, "libraries": state.libraries}
     whole = json.loads(state.record.to_json())["content"] | {"state": facts}
-    output.show(whole, as_json, lambda _: _case(state))
+    output.show(whole, as_json, _case(state))
 
 
 def _case(state: CaseState) -> Iterator[Block]:
@@ -372,7 +372,7 @@ def predict(
     predictions = api.predict(path, settings(at), response=response, results=results)
     document = {"predictions": [prediction.to_json() for prediction in predictions]}
     notes = [note for prediction in predictions for note in prediction.notes]
-    output.show(document, as_json, lambda _: prediction_blocks(predictions), notes)
+    output.show(document, as_json, prediction_blocks(predictions), notes)
 
 
 def _folders(results: Path, reports: Path) -> output.Options:
@@ -387,7 +387,7 @@ def _finish(study: OpenedStudy, as_json: bool, typed: output.Options) -> None:
     """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
     after = output.after_run(study, typed)
     document = study.to_json() | {"next": after[1]}
-    output.show(document, as_json, lambda _: study.blocks(), study.warnings)
+    output.show(document, as_json, study.blocks(), study.warnings)
     if not as_json:
         output.next_step(*after)
     if study.failed or study.report is None:
@@ -406,9 +406,7 @@ def verify(
     data: Data = None,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
-    allow_commands: Annotated[
-        bool, option("Let --resolve run programs.", "--allow-commands")
-    ] = False,
+    allow_commands: Annotated[bool, "Let --resolve run programs.", SWITCH] = False,
     tolerance: Annotated[
         float | None,
         option(
@@ -424,5 +422,5 @@ def verify(
         path, results=results, reports=reports, resolve=resolve, seed=seed, data=data,
         allow_commands=allow_commands, tolerance=tolerance,
     )  # fmt: skip
-    output.show(verification, as_json, lambda verified: verified.blocks())
+    output.show(verification, as_json, verification.blocks())
     raise typer.Exit(0 if verification.agrees else 1)

@@ -350,7 +350,7 @@ def test_figures_of_convergence_label_both_axes(spread):
     (ax,) = convergence_figures.draw_errors([], frame).axes
     assert len(seen(ax, "y")) >= 2
     front = pd.DataFrame({"cell": "a", "seconds": 2.0 * np.geomspace(1, spread, 3), "error": error})
-    (ax,) = convergence_figures.draw_front(front, 0.029).axes
+    (ax,) = convergence_figures.draw_front({"accuracy": 0.029}, front).axes
     assert len(seen(ax, "x")) >= 2
     assert len(seen(ax, "y")) >= 2
 

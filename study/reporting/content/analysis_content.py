@@ -386,7 +386,25 @@ def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Bloc
         yield replace(tables.sizes(item, data), name="Sizes of the effects")
         yield from effect_blocks(item, data)
         yield checks(analysis, "Assumptions")
-        yield from _further_checks(analysis)
+        # what a page draws: contrasts beyond Lenth's margins, rows that the fit leans on
+        lenth, tests = analysis.lenth, analysis.assumptions
+        if lenth is not None:
+            yield Verbatim(
+                f"Lenth: pseudo standard error {significant(lenth.pse, 4)}, margin of error "
+                f"{significant(lenth.me, 4)}, simultaneous {significant(lenth.sme, 4)}; beyond it: "
+                f"{', '.join(lenth.active) or 'none'}"
+            )
+        if tests.fligner is not None:
+            statistic, p = tests.fligner
+            yield Verbatim(f"Fligner-Killeen: {significant(statistic, 4)}, {p_phrase(p)}")
+        if tests.influence is not None and tests.influence.rows:
+            listed = ", ".join(str(i) for i in tests.influence.rows[:10])
+            limit = tests.influence.limit
+            yield Verbatim(f"rows the fit leans on (Cook's distance > {limit:.2g}): {listed}")
+        if tests.box_cox is not None:
+            low, high = tests.box_cox.ci95
+            exponent = tests.box_cox.exponent
+            yield Verbatim(f"Box-Cox exponent {exponent:.2f} (95 % {low:.2f} to {high:.2f})")
         yield robustness(analysis, data)
         yield _detectable(analysis)
     if analysis.nested is not None:
@@ -424,28 +442,6 @@ def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
     largest = simple_effects(replace(item, terms=terms), data)
     title = "Largest simple effects, and those that decide a verdict"
     yield largest and replace(largest, name=title)
-
-
-def _further_checks(analysis: AnalysisResult) -> Iterator[Verbatim]:
-    """Give what a page draws: contrasts beyond Lenth's margins, rows that the fit leans on."""
-    lenth, tests = analysis.lenth, analysis.assumptions
-    if lenth is not None:
-        yield Verbatim(
-            f"Lenth: pseudo standard error {significant(lenth.pse, 4)}, margin of error "
-            f"{significant(lenth.me, 4)}, simultaneous {significant(lenth.sme, 4)}; beyond it: "
-            f"{', '.join(lenth.active) or 'none'}"
-        )
-    if tests.fligner is not None:
-        statistic, p = tests.fligner
-        yield Verbatim(f"Fligner-Killeen: {significant(statistic, 4)}, {p_phrase(p)}")
-    if tests.influence is not None and tests.influence.rows:
-        listed = ", ".join(str(i) for i in tests.influence.rows[:10])
-        limit = tests.influence.limit
-        yield Verbatim(f"rows the fit leans on (Cook's distance > {limit:.2g}): {listed}")
-    if tests.box_cox is not None:
-        low, high = tests.box_cox.ci95
-        exponent = tests.box_cox.exponent
-        yield Verbatim(f"Box-Cox exponent {exponent:.2f} (95 % {low:.2f} to {high:.2f})")
 
 
 def _detectable(analysis: AnalysisResult) -> Table | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -199,28 +199,23 @@ def named(setting: Mapping[str, str], data: ReportData) -> str:
 
 def by_condition(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Say at which levels of a condition each choice matters."""
-    return [
-        line
-        for condition in factors_of(data, CONDITION)
-        for facts in all_facts
-        for effect in choices(data, facts)
-        if (line := _one_condition(condition, effect, facts, data))
-    ]
-
-
-def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportData) -> str:
-    at_levels = []
-    for label in data.factors[condition]:
-        here = [e for e in effect.simple_effects if dict(e.at).get(condition) == label]
-        if not here:
-            return ""
-        verdict = together([e.verdict for e in here])
-        largest = max([e for e in here if e.verdict == verdict] or here, key=effect.distance)
-        shown = shown_difference(apart(largest.difference, effect), effect, facts)
-        at_levels.append((verdict, f"{clean(label)} ({shown})"))
-    parts = [f"{_SAID[verdict]} at {listing(at)}" for verdict, at in gathered(at_levels).items()]
-    name, by = term_name(effect.term, data.labels), name_of(condition, data.labels)
-    return sentence(f"{name} by {by}, for {facts.noun}: {'; '.join(parts)}")
+    lines = []
+    for condition, facts in product(factors_of(data, CONDITION), all_facts):
+        for effect in choices(data, facts):
+            at = gathered((dict(e.at).get(condition), e) for e in effect.simple_effects)
+            if any(label not in at for label in data.factors[condition]):
+                continue
+            shown = []
+            for label in data.factors[condition]:
+                verdict = together([e.verdict for e in at[label]])
+                alike = [e for e in at[label] if e.verdict == verdict] or at[label]
+                difference = apart(max(alike, key=effect.distance).difference, effect)
+                size_there = shown_difference(difference, effect, facts)
+                shown.append((verdict, f"{clean(label)} ({size_there})"))
+            parts = [f"{_SAID[v]} at {listing(levels)}" for v, levels in gathered(shown).items()]
+            name, by = term_name(effect.term, data.labels), name_of(condition, data.labels)
+            lines.append(sentence(f"{name} by {by}, for {facts.noun}: {'; '.join(parts)}"))
+    return lines
 
 
 def apart(difference: float, effect: Effect) -> float:
@@ -239,28 +234,23 @@ def together(verdicts: Sequence[str]) -> str:
     return CANNOT_TELL if CANNOT_TELL in verdicts else NOT_RESOLVED
 
 
-def unknowns(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
+def unknowns(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[str]:
     """Effect of every assumed factor, and whether it has to be measured."""
-    effects = gathered((e.term, (f, e)) for f in all_facts for e in f.effects)
-    return [
-        _one_unknown(name_of(name, data.labels), effects[name], data.labels)
-        for name in factors_of(data, UNKNOWN)
-        if name in effects
-    ]
-
-
-def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]], labels: Labels) -> str:
-    large = [
-        f"{facts.noun} by {change(effect, facts, labels, in_brackets=True)}"
-        for facts, effect in effects
-        if effect.verdict == MATTERS and effect.range is not None
-    ]
-    start = f"the level of {name} was assumed"
-    if large:
-        return f"{sentence(f'{start}, and it changes {listing(large)}')} Measure it."
-    if all(effect.verdict == NO_DIFFERENCE for _, effect in effects):
-        return sentence(f"{start}. It makes no practical difference, so it need not be measured")
-    return sentence(f"{start}. This study cannot tell whether it has to be measured")
+    by_factor = gathered((e.term, (f, e)) for f in all_facts for e in f.effects)
+    for factor in factors_of(data, UNKNOWN):
+        effects = by_factor.get(factor, [])
+        start = f"the level of {name_of(factor, data.labels)} was assumed"
+        large = [
+            f"{facts.noun} by {change(effect, facts, data.labels, in_brackets=True)}"
+            for facts, effect in effects
+            if effect.verdict == MATTERS and effect.range is not None
+        ]
+        if large:
+            yield f"{sentence(f'{start}, and it changes {listing(large)}')} Measure it."
+        elif effects and all(effect.verdict == NO_DIFFERENCE for _, effect in effects):
+            yield sentence(f"{start}. It makes no practical difference, so it need not be measured")
+        elif effects:
+            yield sentence(f"{start}. This study cannot tell whether it has to be measured")
 
 
 #: *matters* where the average over the other factors does not

@@ -521,7 +521,7 @@ def _limits(recommended: Recommendation) -> Iterator[Block]:
             "95 % interval": lambda of: between(of[1][1:], 3),
         },
     )
-    if recommended.assurance == "predicted":
+    if recommended.limits_hold == "predicted":
         yield Sentence(
             "the limits hold for the prediction, not at the unfavourable end of its interval: no "
             "setting keeps them there"

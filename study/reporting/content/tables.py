@@ -153,14 +153,6 @@ def in_order(data: ReportData) -> pd.DataFrame:
     )
 
 
-def by_cell(data: ReportData) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
-    """Levels and rows of every cell, cells in the order of the design, rows in that of blocks."""
-    if data.table.empty:  # nothing is computed yet, or what was is lost
-        return []
-    groups = in_order(data).groupby(list(data.factors), sort=False)
-    return [(tuple(str(level) for level in levels), group) for levels, group in groups]
-
-
 def lists_records(data: ReportData) -> bool:
     """Whether a page lists every case: each has a record, and they are not too many."""
     return not data.is_table and "case_id" in data.table and 0 < len(data.table) <= MOST
@@ -172,9 +164,9 @@ def case_records(data: ReportData, all_facts: Sequence[Facts]) -> Table | None:
         return None
     listed = [facts for facts in all_facts if facts.name in data.table]
     blocked = bool(data.block) and "block" in data.table
-    rows: list[tuple[str, ...]] = []
-    anchors: list[str] = []
-    for number, (levels, group) in enumerate(by_cell(data), 1):
+    rows, anchors = [], []
+    cells_in_order = in_order(data).groupby(list(data.factors), sort=False)
+    for number, (levels, group) in enumerate(cells_in_order, 1):
         cell = tuple(clean(level) for level in levels)
         for record in group.to_dict("records"):
             block = (clean(str(record["block"])) or MISSING,) if blocked else ()

@@ -73,7 +73,26 @@ def draw_values(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
         engine.set(wspace=0.05)  # type: ignore[call-arg]
     several = len(set(frame["quantity"])) > 1
     for ax, (_, part) in zip(axes, groups, strict=True):
-        _value_panel(ax, part)
+        h, v = part["mesh_size"].to_numpy(float), part["value"].to_numpy(float)
+        limit, order = part["extrapolated"].iloc[0], part["order_used"].iloc[0]
+        if limit is not None and np.isfinite(limit) and order is not None and np.isfinite(order):
+            x = np.linspace(0, h.max(), 100)
+            power_law = limit + (v[0] - limit) * (x / h[0]) ** order
+            ax.plot(x, power_law, color=style.MUTED, linewidth=1.0)
+            ax.plot([0], [limit], marker="D", color=style.MUTED, markersize=4, clip_on=False)
+        u = part["u_num"].iloc[0]
+        if u is not None and np.isfinite(u):
+            ax.errorbar(h[:1], v[:1], yerr=[u], color=style.INK, linewidth=1.0, capsize=3)
+        ax.plot(h, v, marker="o", linestyle="none", color=style.color_of(0), markersize=4.5)
+        order_seen = part["observed_order"].iloc[0]
+        is_estimated = order_seen is not None and np.isfinite(order_seen)
+        text = f"order {order_seen:.2f}" if is_estimated else str(part["behaviour"].iloc[0])
+        ax.text(
+            0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
+            color=style.MUTED,
+        )  # fmt: skip
+        ax.set_xlim(0, 1.06 * h.max())
+        ax.margins(y=0.15)
         ax.set_title(style.wrap(part["panel"].iloc[0], 30, 90), fontsize=7.5)
         if several:
             ax.set_ylabel(style.wrap(_axis(part), 24), fontsize=7.5)
@@ -86,28 +105,6 @@ def draw_values(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
 def _axis(frame: pd.DataFrame) -> str:
     """Name of the quantity with its unit."""
     return style.labeled(name_of(str(frame["quantity"].iloc[0])), clean(str(frame["unit"].iloc[0])))
-
-
-def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
-    h, v = part["mesh_size"].to_numpy(float), part["value"].to_numpy(float)
-    limit, order = part["extrapolated"].iloc[0], part["order_used"].iloc[0]
-    if limit is not None and np.isfinite(limit) and order is not None and np.isfinite(order):
-        x = np.linspace(0, h.max(), 100)
-        ax.plot(x, limit + (v[0] - limit) * (x / h[0]) ** order, color=style.MUTED, linewidth=1.0)
-        ax.plot([0], [limit], marker="D", color=style.MUTED, markersize=4, clip_on=False)
-    u = part["u_num"].iloc[0]
-    if u is not None and np.isfinite(u):
-        ax.errorbar(h[:1], v[:1], yerr=[u], color=style.INK, linewidth=1.0, capsize=3)
-    ax.plot(h, v, marker="o", linestyle="none", color=style.color_of(0), markersize=4.5)
-    order_seen = part["observed_order"].iloc[0]
-    is_estimated = order_seen is not None and np.isfinite(order_seen)
-    text = f"order {order_seen:.2f}" if is_estimated else str(part["behaviour"].iloc[0])
-    ax.text(
-        0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
-        color=style.MUTED,
-    )  # fmt: skip
-    ax.set_xlim(0, 1.06 * h.max())
-    ax.margins(y=0.15)
 
 
 def _free(h: Array, v: Array) -> float:

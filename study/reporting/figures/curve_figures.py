@@ -361,7 +361,15 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
     columns = min(max(levels, (4 // levels) * levels), number)
     rows = -(-number // columns)
     titles = panel_titles(panels, style.WIDTH_IN / columns, data)
-    handles = _handles(panels, data)
+    points = Line2D(
+        [], [], color=style.INK, marker="o", markersize=3, linestyle="none", label="measured"
+    )
+    handles: list[Line2D | Patch] = [points]
+    if panels.frame["scatter_N"].notna().any():
+        handles.append(Patch(color=SCATTER, label="standard deviation of the repeats"))
+    drawn = set(panels.frame["line"])
+    names = [(k, name) for k, name in enumerate(data.factors[panels.line]) if name in drawn]
+    handles += [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
     title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
     top_in = 0.05 + 1.3 * LINE_IN * -(-len(handles) // NAMES_IN_ROW)
     height = 0.5 + top_in + rows * (title_in + FORCE_IN + RESIDUAL_IN)
@@ -465,19 +473,6 @@ def _plot_panel(force: Axes, residual: Axes, rows: pd.DataFrame, levels: Sequenc
 
 def _look_of(index: int) -> dict[str, Any]:
     return {"color": style.color_of(index), "linestyle": style.DASHES[index % 4], "linewidth": 1.1}
-
-
-def _handles(panels: CurvePanels, data: ReportData) -> list[Line2D | Patch]:
-    """Entries of the legend: points, bands, and the level of every line."""
-    points = Line2D(
-        [], [], color=style.INK, marker="o", markersize=3, linestyle="none", label="measured"
-    )
-    handles: list[Line2D | Patch] = [points]
-    if panels.frame["scatter_N"].notna().any():
-        handles.append(Patch(color=SCATTER, label="standard deviation of the repeats"))
-    drawn = set(panels.frame["line"])
-    names = [(k, name) for k, name in enumerate(data.factors[panels.line]) if name in drawn]
-    return handles + [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
 
 
 # One curve by itself.

@@ -335,25 +335,6 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
         look = {"ha": "center", "color": style.MUTED, "xycoords": top}
         style.note(ax, "too small to matter", (0, 1.0), (0, 3), **look)
     ax.axvline(0, color=style.MUTED, linewidth=0.7)
-    _mark_multiples(ax, frame, places)
-    by_name = {facts.name: facts for facts in all_facts}
-    for y, response in heads:
-        edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
-        bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
-        style.note(ax, clean(by_name[response].title, 60), (0, y), (-3.5, 0), **bold)
-    style.name_rows(ax, places, [style.wrap(name, 40, 80) for name in frame["name"]], 8)
-    for y, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
-        style.at_right(
-            ax, f"{verdict}:  {words}" if verdict else words, y, _WORD_COLOR.get(verdict)
-        )
-    ax.set_ylim(height - 0.4, -0.7)
-    _scale_of_multiples(ax, frame, limited, all_facts)
-    style.clean_left(ax)
-    return figure
-
-
-def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> None:
-    """Draw every interval, thinner where mesh error widens it, and the difference on it."""
     at, verdicts = np.asarray(places), [str(verdict) for verdict in frame["verdict"]]
     colors = [_VERDICT_COLOR.get(verdict, style.MUTED) for verdict in verdicts]
     low, high, bound, size_of = (
@@ -369,6 +350,20 @@ def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> Non
             [x], [y], _VERDICT_MARKER.get(verdict, "o"), color=color, markerfacecolor=face,
             markersize=6.5, markeredgewidth=1.4,
         )  # fmt: skip
+    by_name = {facts.name: facts for facts in all_facts}
+    for y, response in heads:
+        edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
+        bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
+        style.note(ax, clean(by_name[response].title, 60), (0, y), (-3.5, 0), **bold)
+    style.name_rows(ax, places, [style.wrap(name, 40, 80) for name in frame["name"]], 8)
+    for y, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
+        style.at_right(
+            ax, f"{verdict}:  {words}" if verdict else words, y, _WORD_COLOR.get(verdict)
+        )
+    ax.set_ylim(height - 0.4, -0.7)
+    _scale_of_multiples(ax, frame, limited, all_facts)
+    style.clean_left(ax)
+    return figure
 
 
 def _scale_of_multiples(

@@ -75,12 +75,44 @@ def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def draw_contrasts(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw the Pareto plot on the left, the half-normal plot on the right."""
+    import seaborn as sns
+
     shown = frame.head(_MOST_BARS)
     figure = style.canvas(max(3.4, 1.0 + 0.2 * len(shown)))
     pareto, half = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     label = style.labeled("absolute contrast", facts.scale)
-    _pareto(pareto, shown, label)
-    _half_normal(half, frame, label)
+    places = np.arange(len(shown))
+    sns.barplot(
+        x=shown["size"], y=places, hue=shown["active"], palette=_CONTRAST_COLORS, orient="y",
+        native_scale=True, dodge=False, saturation=1, width=0.66, errorbar=None, legend=False,
+        ax=pareto,
+    )  # fmt: skip
+    for column, dashes, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
+        limit = float(shown[column].iloc[0])
+        pareto.axvline(limit, color=style.INK, linewidth=0.8, linestyle=dashes)
+        style.above(pareto, name, limit)
+    style.name_rows(pareto, places, [style.wrap(name, 30) for name in shown["name"]])
+    pareto.set_ylim(len(shown) - 0.4, -0.6)
+    style.clean_left(pareto)
+    pareto.set_xlabel(f"{label}; limits for one, for all")
+    ordered = frame.sort_values("score")
+    half.fill_between(
+        ordered["score"],
+        np.sort(frame["low"]),
+        np.sort(frame["high"]),
+        color=style.BAND,
+        linewidth=0,
+    )
+    sns.scatterplot(
+        frame, x="score", y="size", hue="active", style="active", palette=_CONTRAST_COLORS,
+        markers={True: "D", False: "o"}, s=30, linewidth=0, legend=False, ax=half,
+    )  # fmt: skip
+    for name, score, size in zip(*(frame[c] for c in ("name", "score", "size")), strict=True):
+        if size > float(frame["margin"].iloc[0]):
+            style.note(half, name, (score, size), (-6, 0), ha="right", va="center")
+    half.set_ylim(bottom=0)
+    half.set_xlim(left=0)
+    half.set(xlabel="half-normal score, with the 95 % envelope of no effect", ylabel=label)
     return figure
 
 
@@ -101,48 +133,6 @@ def contrasts_caption(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> s
         f"{finding}. Dashed: limit of one contrast, {margin}; dotted: of all together, {every} "
         "(Lenth, simulated); contrasts that follow the shaded envelope look like no effect at all"
     )
-
-
-def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
-    import seaborn as sns
-
-    places = np.arange(len(frame))
-    sns.barplot(
-        x=frame["size"], y=places, hue=frame["active"], palette=_CONTRAST_COLORS, orient="y",
-        native_scale=True, dodge=False, saturation=1, width=0.66, errorbar=None, legend=False,
-        ax=ax,
-    )  # fmt: skip
-    for column, dashes, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
-        limit = float(frame[column].iloc[0])
-        ax.axvline(limit, color=style.INK, linewidth=0.8, linestyle=dashes)
-        style.above(ax, name, limit)
-    style.name_rows(ax, places, [style.wrap(name, 30) for name in frame["name"]])
-    ax.set_ylim(len(frame) - 0.4, -0.6)
-    style.clean_left(ax)
-    ax.set_xlabel(f"{label}; limits for one, for all")
-
-
-def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
-    import seaborn as sns
-
-    ordered = frame.sort_values("score")
-    ax.fill_between(
-        ordered["score"],
-        np.sort(frame["low"]),
-        np.sort(frame["high"]),
-        color=style.BAND,
-        linewidth=0,
-    )
-    sns.scatterplot(
-        frame, x="score", y="size", hue="active", style="active", palette=_CONTRAST_COLORS,
-        markers={True: "D", False: "o"}, s=30, linewidth=0, legend=False, ax=ax,
-    )  # fmt: skip
-    for name, score, size in zip(*(frame[c] for c in ("name", "score", "size")), strict=True):
-        if size > float(frame["margin"].iloc[0]):
-            style.note(ax, name, (score, size), (-6, 0), ha="right", va="center")
-    ax.set_ylim(bottom=0)
-    ax.set_xlim(left=0)
-    ax.set(xlabel="half-normal score, with the 95 % envelope of no effect", ylabel=label)
 
 
 # Figures of assumptions: four views of the residuals, and the spread of the cells.
@@ -309,7 +299,22 @@ def draw_residuals(
     figure = style.canvas(2.85 * len(rows))
     panels = figure.subplot_mosaic(rows)
     shown, label = thinned(points, data.seed), style.labeled("residual", facts.scale)
-    _probability(panels["normal"], shown, points, facts, data.seed, label)
+    ax = panels["normal"]
+    spread = float(points["residual"].std(ddof=1))
+    if len(points) <= MOST_POINTS:
+        low, high = envelope(len(points), spread, data.seed)
+        ax.fill_between(np.sort(points["score"]), low, high, color=style.BAND, linewidth=0)
+    ends = np.array([points["score"].min(), points["score"].max()])
+    ax.plot(ends, ends * spread, color=style.MUTED, linewidth=0.8)
+    look: dict[str, Any] = {"color": style.color_of(0), "markersize": 3.2, "markeredgewidth": 0}
+    ax.plot(shown["score"], shown["residual"], "o", alpha=0.8, **look)
+    normality = facts.assumptions.normality
+    if normality is not None and normality.rj is not None:
+        p = p_value(normality.p_exact)
+        tail = "" if normality.p_exact is None else f", p {p if p[0] in '<>' else f'= {p}'}"
+        text = f"RJ = {normality.rj:.4f}{tail}"
+        ax.text(0.03, 0.97, text, transform=ax.transAxes, va="top", fontsize=8)
+    ax.set(title="normal probability plot", xlabel="normal score", ylabel=label)
     _against(panels["fits"], shown["fitted"], shown["residual"])
     where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
     panels["fits"].set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
@@ -335,27 +340,6 @@ def residuals_caption(facts: Facts, data: ReportData, frame: pd.DataFrame) -> st
         f"computation; {normality_phrase(facts, data.alpha)}. Run order means nothing for "
         "deterministic runs, so residuals stand against the factors instead"
     )
-
-
-def _probability(
-    ax: Axes, shown: pd.DataFrame, points: pd.DataFrame, facts: Facts, seed: int, label: str
-) -> None:
-    """Draw residuals against normal scores, with the envelope of normal data where n is small."""
-    spread = float(points["residual"].std(ddof=1))
-    if len(points) <= MOST_POINTS:
-        low, high = envelope(len(points), spread, seed)
-        ax.fill_between(np.sort(points["score"]), low, high, color=style.BAND, linewidth=0)
-    ends = np.array([points["score"].min(), points["score"].max()])
-    ax.plot(ends, ends * spread, color=style.MUTED, linewidth=0.8)
-    look: dict[str, Any] = {"color": style.color_of(0), "markersize": 3.2, "markeredgewidth": 0}
-    ax.plot(shown["score"], shown["residual"], "o", alpha=0.8, **look)
-    normality = facts.assumptions.normality
-    if normality is not None and normality.rj is not None:
-        p = p_value(normality.p_exact)
-        tail = "" if normality.p_exact is None else f", p {p if p[0] in '<>' else f'= {p}'}"
-        text = f"RJ = {normality.rj:.4f}{tail}"
-        ax.text(0.03, 0.97, text, transform=ax.transAxes, va="top", fontsize=8)
-    ax.set(title="normal probability plot", xlabel="normal score", ylabel=label)
 
 
 def _against(ax: Axes, x: pd.Series, residual: pd.Series) -> None:

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from study.reporting.content.blocks import Figure
@@ -135,7 +134,15 @@ def draw_front(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
     practical = practical_of(facts, frame)
     shown = frame.astype(dict.fromkeys(data.factors, str))
     shown = shown.rename(columns={name: name_of(name, data.labels) for name in data.factors})
-    first, second = _styling(frame, data)
+    # color and shape are of the two factors that change the cost most
+    cost = np.log(frame["seconds"].clip(lower=1e-9))
+    moved = {
+        name: float(cost.groupby(frame[name]).mean().var() or 0.0)
+        for name in data.factors
+        if len(data.factors[name]) > 1
+    }
+    order = sorted(moved, key=lambda name: -moved[name]) or list(data.factors)[:1]
+    first, second = order[0], order[min(1, len(order) - 1)]
     look = {"hue": name_of(first, data.labels), "hue_order": data.factors[first],
             "palette": [style.color_of(k) for k in range(len(data.factors[first]))],
             "style": name_of(second, data.labels), "style_order": data.factors[second],
@@ -157,7 +164,18 @@ def draw_front(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
             transform=ax.get_yaxis_transform(), fontsize=7.5, color=style.MUTED,
         )  # fmt: skip
     ax.margins(x=0.06, y=0.16)
-    _front_labels(ax, front, list(data.factors))
+    low, high = np.log(ax.get_xlim())
+    bottom, top = ax.get_ylim()
+    taken: list[tuple[float, float]] = []  # where a cell is named another's name would run into it
+    for row in reversed(front.to_dict("records")):
+        x = float((np.log(row["seconds"]) - low) / (high - low))
+        y = float((row["mean"] - bottom) / (top - bottom))
+        if any(abs(x - a) < 0.36 and abs(y - b) < 0.07 for a, b in taken):
+            continue
+        taken.append((x, y))
+        text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in data.factors)
+        shift, side = ((-7, -6), "right") if x > 0.6 else ((7, -6), "left")
+        style.note(ax, text, (row["seconds"], row["mean"]), shift, va="top", ha=side)
     low, high = ax.get_xlim()
     if len(ticks := [t for t in _TIMES if low <= t <= high]) < 2:
         style.log_ticks(ax, "x", duration)
@@ -178,34 +196,6 @@ def front_caption(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> str:
         f"{trimmed(practical_of(facts, frame))}{THIN}{facts.difference_unit} of the best; the "
         f"cheapest of them takes {duration(cheap)} a case, the dearest cell of all {duration(dear)}"
     )
-
-
-def _styling(frame: pd.DataFrame, data: ReportData) -> tuple[str, str]:
-    """Return the two factors that change the cost most, for color and shape."""
-    cost = np.log(frame["seconds"].clip(lower=1e-9))
-    moved = {
-        name: float(cost.groupby(frame[name]).mean().var() or 0.0)
-        for name in data.factors
-        if len(data.factors[name]) > 1
-    }
-    order = sorted(moved, key=lambda name: -moved[name]) or list(data.factors)[:1]
-    return order[0], order[min(1, len(order) - 1)]
-
-
-def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None:
-    """Name the front's cells; one whose name would run into another's is left out."""
-    low, high = np.log(ax.get_xlim())
-    bottom, top = ax.get_ylim()
-    taken: list[tuple[float, float]] = []
-    for row in reversed(front.to_dict("records")):
-        x = float((np.log(row["seconds"]) - low) / (high - low))
-        y = float((row["mean"] - bottom) / (top - bottom))
-        if any(abs(x - a) < 0.36 and abs(y - b) < 0.07 for a, b in taken):
-            continue
-        taken.append((x, y))
-        text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in factors)
-        shift, side = ((-7, -6), "right") if x > 0.6 else ((7, -6), "left")
-        style.note(ax, text, (row["seconds"], row["mean"]), shift, va="top", ha=side)
 
 
 def failed_cases(data: ReportData) -> pd.DataFrame:

@@ -214,7 +214,23 @@ def _series(cell: Document) -> Iterator[Block]:
         order = cell.get("formal_order")
         head = "no formal order" if order is None else f"formal order {order:.3g}"
         yield Verbatim(f"{head}: {cell['formal_reason']}")
-    yield from _limit(cell)
+    if cell["gci_fine"] is not None:
+        yield Verbatim(
+            f"order {general(cell['observed_order'])}, extrapolated "
+            f"{general(cell['extrapolated'], 8)}, GCI {100 * cell['gci_fine']:.4g} %"
+        )
+    if cell["u_num"] is not None:
+        bound_text = f"{cell['value'][0]:.8g} +- {cell['u_num']:.3g} {cell['unit'] or ''}"
+        yield Verbatim(f"finest value {bound_text}".rstrip())
+    given = cell.get("given_mesh")
+    if given and given["u_num"] is not None:
+        share = f" ({100 * given['u_num'] / abs(given['value']):.2g} %)" if given["value"] else ""
+        yield Verbatim(f"on the mesh as given: {given['value']:.6g} +- {given['u_num']:.2g}{share}")
+    if cell.get("mesh_size_needed"):
+        needed = f"a mesh size of {cell['mesh_size_needed']:.3g}"
+        yield Verbatim(f"{100 * cell['accuracy']:g} % needs {needed}")
+    if cell.get("stopped"):
+        yield Verbatim(f"stopped: {cell['stopped']}")
     if len(cell.get("quantities") or {}) > 1:
         yield replace(series_table([cell]), name="quantities")
     yield from (replace(table, name="error by source") for table in sources_tables([cell]))
@@ -240,23 +256,3 @@ def _meshes(cell: Document) -> Table:
             "MB": lambda of: f"{of[2]['memory_MB']:.0f}",
         },
     )
-
-
-def _limit(cell: Document) -> Iterator[Verbatim]:
-    if cell["gci_fine"] is not None:
-        yield Verbatim(
-            f"order {general(cell['observed_order'])}, extrapolated "
-            f"{general(cell['extrapolated'], 8)}, GCI {100 * cell['gci_fine']:.4g} %"
-        )
-    if cell["u_num"] is not None:
-        bound_text = f"{cell['value'][0]:.8g} +- {cell['u_num']:.3g} {cell['unit'] or ''}"
-        yield Verbatim(f"finest value {bound_text}".rstrip())
-    given = cell.get("given_mesh")
-    if given and given["u_num"] is not None:
-        share = f" ({100 * given['u_num'] / abs(given['value']):.2g} %)" if given["value"] else ""
-        yield Verbatim(f"on the mesh as given: {given['value']:.6g} +- {given['u_num']:.2g}{share}")
-    if cell.get("mesh_size_needed"):
-        needed = f"a mesh size of {cell['mesh_size_needed']:.3g}"
-        yield Verbatim(f"{100 * cell['accuracy']:g} % needs {needed}")
-    if cell.get("stopped"):
-        yield Verbatim(f"stopped: {cell['stopped']}")

@@ -41,28 +41,29 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 
-def scan_answers(deviation: ShapeDeviation) -> list[str]:
+def scan_answers(deviation: ShapeDeviation) -> Iterator[str]:
     """Say in a few sentences what was found."""
-    s = deviation.statistics
-    lines = [
+    s, registration = deviation.statistics, deviation.registration
+    yield (
         f"The scan lies {quantity(s.mean_absolute, 'mm')} from the simulated surface on average "
         f"(RMS {quantity(s.rms, 'mm')}, 95 % within {quantity(s.absolute_p95, 'mm')}, at worst "
         f"{quantity(s.largest, 'mm')}), with its sign {quantity(s.mean, 'mm')}: positive where "
-        "the real body is the larger one.",
+        "the real body is the larger one."
+    )
+    yield (
         f"{count(s.points, 'point')} of {deviation.scan} show {share(deviation.seen)} of the "
-        f"surface; {count(deviation.outliers, 'isolated point')} left out.",
-    ]
+        f"surface; {count(deviation.outliers, 'isolated point')} left out."
+    )
     if s.largest_set_aside is not None:
-        lines.append(
+        yield (
             f"{count(s.set_aside, 'point')} without weight in the registration, up to "
             f"{quantity(s.largest_set_aside, 'mm')} away, set aside in these figures: look at them "
             "in the picture, for a part that is missing or dented is among them too."
         )
-    if deviation.registration is not None:
-        lines += _registration(deviation.registration, deviation.registration_uncertainty or 0.0)
+    if registration is not None:
+        yield from _registration(registration, deviation.registration_uncertainty or 0.0)
     if deviation.markers is not None:
-        lines += _markers(deviation.markers)
-    return lines
+        yield from _markers(deviation.markers)
 
 
 def _registration(registration: Registration, added: float) -> Iterator[str]:
@@ -126,16 +127,15 @@ def _marker_table(markers: MarkerDeviation) -> Table:
     return Table("Measured less simulated place of markers", columns, rows, raw=raw)
 
 
-def tracker_answers(accuracy: TrackerAccuracy) -> list[str]:
+def tracker_answers(accuracy: TrackerAccuracy) -> Iterator[str]:
     """Say in a few sentences what was found."""
-    lines = [f"{count(accuracy.samples, 'sample')} of {count(accuracy.markers, 'marker')}."]
+    yield f"{count(accuracy.samples, 'sample')} of {count(accuracy.markers, 'marker')}."
     if accuracy.distance is not None:
-        lines += _tracker_distance(accuracy.distance, accuracy.alpha)
+        yield from _tracker_distance(accuracy.distance, accuracy.alpha)
     if accuracy.displacement is not None:
-        lines += _tracker_displacement(accuracy.displacement, accuracy.alpha)
+        yield from _tracker_displacement(accuracy.displacement, accuracy.alpha)
     if accuracy.reference is not None:
-        lines += _reference(accuracy.reference)
-    return lines
+        yield from _reference(accuracy.reference)
 
 
 def _tracker_distance(distance: DistanceResult, alpha: float) -> Iterator[str]:
@@ -214,25 +214,19 @@ def _reference(reference: ReferenceResult) -> Iterator[str]:
 
 
 def _lever_arm(arm: LeverArm, reference: ReferenceResult) -> str:
-    parts = ", ".join(
-        f"{significant(a)} \N{PLUS-MINUS SIGN} {significant(u, 2)}"
-        for a, u in zip(arm.arm_mm, arm.uncertainty_mm, strict=True)
-    )
+    axes = list(zip("xyz", arm.arm_mm, arm.uncertainty_mm, strict=True))
+    sizes = (f"{significant(a)} \N{PLUS-MINUS SIGN} {significant(u, 2)}" for _, a, u in axes)
     text = (
-        f"The lever arm between marker and reference point ({parts} mm along the body's axes, one "
-        f"standard uncertainty) takes the residual from {quantity(reference.fit.rms, 'mm')} to "
-        f"{quantity(arm.rms_mm, 'mm')} RMS ({p_phrase(arm.p)}), and the error of poses left out "
+        f"The lever arm between marker and reference point ({', '.join(sizes)} mm along the "
+        "body's axes, one standard uncertainty) takes the residual from "
+        f"{quantity(reference.fit.rms, 'mm')} to {quantity(arm.rms_mm, 'mm')} RMS "
+        f"({p_phrase(arm.p)}), and the error of poses left out "
         f"from {quantity(reference.left_out_rms_mm, 'mm')} to "
         f"{quantity(arm.left_out_rms_mm, 'mm')}; "
         f"the body turned by {significant(arm.turned_deg, 2)} deg RMS."
     )
-    open_axes = [
-        axis
-        for axis, a, u in zip("xyz", arm.arm_mm, arm.uncertainty_mm, strict=True)
-        if abs(a) < 2 * u
-    ]
-    if open_axes:
-        text += f" The body turned too little to tell the arm along {', '.join(open_axes)}."
+    if untold := [axis for axis, a, u in axes if abs(a) < 2 * u]:
+        text += f" The body turned too little to tell the arm along {', '.join(untold)}."
     return text
 
 

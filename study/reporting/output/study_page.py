@@ -399,7 +399,7 @@ def _response(data: ReportData, item: Facts, figures: Figures) -> Blocks:
     yield from titled(tables.anova(item, data), title)
     yield Folded(tables.SIZES, (tables.sizes(item, data),))
     yield from drawn(figures, "means", "interactions", "cells")
-    if not data.is_table and tables.lists_records(data):
+    if tables.lists_records(data):
         yield Sentence(
             "The cells behind these means stand in the matrix, which leads to the record of every "
             "case.",

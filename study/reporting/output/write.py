@@ -64,7 +64,7 @@ from study.reporting.output.page import (
     replace_file,
 )
 from study.reporting.output.study_page import prepare
-from study.reporting.results.study_result import CurvePair, ReportData
+from study.reporting.results.study_result import ReportData
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -155,7 +155,17 @@ def write(
         write_numbers(files, {"study": report_data.name, "responses": numbers})
         replace_file(files / "cases.csv", of_frame(report_data.table))
         if report_data.curves:
-            packed = gzip.compress(_points(report_data.curves).encode(), 6, mtime=0)
+            # every measured point and the force predicted there, empty beyond its end
+            parts = ["case_id,curve,role,displacement_mm,measured_N,predicted_N\n"]
+            for pair in report_data.curves:
+                head = of_rows((pair.case_id, pair.label, pair.role), ()).removesuffix("\n")
+                d, measured = pair.measured.displacement_mm, pair.measured.force_N
+                reached = d[d <= pair.predicted.displacement_mm[-1]]
+                force = [repr(f) for f in pair.predicted.force_at(reached).tolist()]
+                force += [""] * (d.size - reached.size)
+                points = zip(d.tolist(), measured.tolist(), force, strict=True)
+                parts += [f"{head},{x!r},{m!r},{f}\n" for x, m, f in points]
+            packed = gzip.compress("".join(parts).encode(), 6, mtime=0)
             replace_bytes(files / "curves.csv.gz", packed)
         if "tex" in chosen:
             all_facts = facts(report_data)
@@ -279,20 +289,6 @@ def write_numbers(files: Path, document: Document) -> None:
     """Write what ``--json`` prints beside a page."""
     text = json.dumps(document, indent=1, allow_nan=False)
     replace_file(files / "numbers.json", text + "\n")
-
-
-def _points(curves: Sequence[CurvePair]) -> str:
-    """CSV text of every measured point and the force predicted there (empty beyond its end)."""
-    parts = ["case_id,curve,role,displacement_mm,measured_N,predicted_N\n"]
-    for pair in curves:
-        head = of_rows((pair.case_id, pair.label, pair.role), ()).removesuffix("\n")
-        d, measured = pair.measured.displacement_mm, pair.measured.force_N
-        reached = d[d <= pair.predicted.displacement_mm[-1]]
-        force = [repr(f) for f in pair.predicted.force_at(reached).tolist()]
-        force += [""] * (d.size - reached.size)
-        points = zip(d.tolist(), measured.tolist(), force, strict=True)
-        parts += [f"{head},{x!r},{m!r},{f}\n" for x, m, f in points]
-    return "".join(parts)
 
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
