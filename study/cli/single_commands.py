@@ -118,15 +118,10 @@ def calibrate(
         with units.naming("--difference"):
             off = units.parse(difference, "ratio")
         with units.naming("--zero"):
-            uncertain = units.parse(zero, "ratio")
+            u_zero = units.parse(zero, "ratio")
         with _iterations() as progress:
             compared = api.compare_tests(
-                file,
-                data=data,
-                overrides=overrides,
-                progress=progress,
-                difference=off,
-                zero=uncertain,
+                file, data=data, overrides=overrides, progress=progress, difference=off, zero=u_zero
             )
         document = compared.to_json()
         warnings = [] if as_json else document["warnings"]

@@ -245,19 +245,16 @@ def differences(fit: FittedSurface, data: ReportData) -> Iterator[str]:
 
 def _shape(fit: FittedSurface, data: ReportData) -> Iterator[str]:
     """Say where a quadratic surface is level, whether it fits, and what it cannot tell apart."""
-    model = None if fit.surface is None else fit.surface.model
-    if not isinstance(model, QuadraticSurface):
+    if fit.surface is None or not isinstance(model := fit.surface.model, QuadraticSurface):
         return
-    point = model.stationary
-    if point is not None and point.established:
+    if (point := model.stationary) is not None and point.established:
         where = "inside" if point.inside else "outside"
         at = settings(model.runs.settings(point.at), fit, data)
         yield (
             f"The surface is level at a {point.kind} of {quantity(point.value, clean(fit.unit))}, "
             f"{where} the ranges: {at}."
         )
-    lack = model.lack_of_fit
-    if lack is not None:
+    if (lack := model.lack_of_fit) is not None:
         yield (
             f"Lack of fit: F({lack.df:.3g}, {lack.df_error:.3g}) = {significant(lack.f)}, "
             f"{p_phrase(lack.p)}."
@@ -274,10 +271,9 @@ def settings(where: Mapping[str, float], fit: FittedSurface, data: ReportData, a
     return listing([f"{name_of(name, data.labels)}{at} {value}" for name, value in values.items()])
 
 
-def sensitivity(fit: FittedSurface, data: ReportData) -> Table | None:
-    """Shares and ranges of the factors, the strongest first; None where none is told."""
-    surface = fit.surface
-    if surface is None or all(i.index is None and i.range is None for i in surface.sensitivity):
+def sensitivity(surface: SurfaceAnalysis, fit: FittedSurface, data: ReportData) -> Table | None:
+    """Shares and ranges of the factors, the strongest first; None where none is known."""
+    if all(item.index is None and item.range is None for item in surface.sensitivity):
         return None
     unit = clean(fit.unit)
     columns: dict[str, Callable[[Sensitivity], str]] = {
@@ -458,7 +454,7 @@ def surface_blocks(
     shape, others, ends = _shape(fit, data), differences(fit, data), extremes(fit, data)
     yield figures.get("shares")
     yield Points([accuracy(fit), *shape, *others, *ends, *confirm, *uncertainty_lines(fit, data)])
-    yield sensitivity(fit, data)
+    yield sensitivity(surface, fit, data)
     if isinstance(model := surface.model, QuadraticSurface):
         yield from titled(coefficients(model, fit, data), "Coefficients")
         for name, test in model.factor_tests.items():

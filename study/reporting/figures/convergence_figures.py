@@ -87,8 +87,12 @@ def draw_values(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
         order_seen = part["observed_order"].iloc[0]
         is_estimated = order_seen is not None and np.isfinite(order_seen)
         text = f"order {order_seen:.2f}" if is_estimated else str(part["behaviour"].iloc[0])
+        # on the right, above or below, where it is farther from all points
+        across, up = h / h.max(), (v - v.min()) / (float(np.ptp(v)) or 1.0)
+        room = [float(np.min(np.hypot(across - 0.85, up - height))) for height in (0.0, 1.0)]
+        free = 0.07 if room[0] >= room[1] else 0.93
         ax.text(
-            0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
+            0.97, free, text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
             color=style.MUTED,
         )  # fmt: skip
         ax.set_xlim(0, 1.06 * h.max())
@@ -105,13 +109,6 @@ def draw_values(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
 def _axis(frame: pd.DataFrame) -> str:
     """Name of the quantity with its unit."""
     return style.labeled(name_of(str(frame["quantity"].iloc[0])), clean(str(frame["unit"].iloc[0])))
-
-
-def _free(h: Array, v: Array) -> float:
-    """Height at the right of a panel, top or bottom, that is farther from all its points."""
-    across, up = h / h.max(), (v - v.min()) / (float(np.ptp(v)) or 1.0)
-    room = [float(np.min(np.hypot(across - 0.85, up - height))) for height in (0.0, 1.0)]
-    return 0.07 if room[0] >= room[1] else 0.93
 
 
 def error_points(cells: Sequence[Document]) -> pd.DataFrame:
