@@ -40,7 +40,7 @@ from study.statistics.analysis.simple_effects import (
     REFUSALS,
 )
 from study.statistics.surfaces.emulator import GIVEN, RANKED
-from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.surfaces.surface_result import FittedSurface
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,9 +48,8 @@ if TYPE_CHECKING:
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Comparison, NestedUnits
     from study.statistics.analysis.comparisons import Comparisons
-    from study.statistics.analysis.linear_contrast import Contrast
     from study.statistics.analysis.mixed_model import MixedModel
-    from study.statistics.analysis.post_hoc import Coefficient
+    from study.statistics.analysis.post_hoc import Coefficient, Contrast
 
 
 #: Digits of sums of squares and statistics, as Minitab prints them.

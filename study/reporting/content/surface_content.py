@@ -39,14 +39,15 @@ from study.reporting.content.text import (
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 from study.statistics.surfaces.emulator import Emulator
 from study.statistics.surfaces.quadratic import QuadraticSurface
-from study.statistics.surfaces.surface_profile import profiles, strongest
+from study.statistics.surfaces.surface_result import profiles, strongest
 
 if TYPE_CHECKING:
     from study.reporting.results.study_answers import Confirmed, Inverted, Recommendation
     from study.reporting.results.study_result import ReportData
     from study.statistics.surfaces.quadratic import SurfaceTerm
-    from study.statistics.surfaces.surface_profile import ElementaryEffect, FittedSurface
     from study.statistics.surfaces.surface_result import (
+        ElementaryEffect,
+        FittedSurface,
         Sensitivity,
         SurfaceAnalysis,
         SurfacePrediction,

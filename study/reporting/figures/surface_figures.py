@@ -28,15 +28,14 @@ from study.reporting.figures import axes as style
 from study.reporting.figures.axes import make
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_optimum import check_carries
-from study.statistics.surfaces.surface_profile import contour, left_out, profiles, strongest
+from study.statistics.surfaces.surface_result import contour, left_out, profiles, strongest
 
 if TYPE_CHECKING:
     from study.ground.arrays import Array
     from study.reporting.content.blocks import Figure
     from study.reporting.figures.axes import Plot
     from study.reporting.results.study_result import ReportData
-    from study.statistics.surfaces.surface_profile import FittedSurface
-    from study.statistics.surfaces.surface_result import SurfaceAnalysis
+    from study.statistics.surfaces.surface_result import FittedSurface, SurfaceAnalysis
 
     Rows = list[tuple[FittedSurface, SurfaceAnalysis]]
 

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.comparisons import Comparisons
     from study.statistics.surfaces.surface_factors import Runs
-    from study.statistics.surfaces.surface_profile import FittedSurface
+    from study.statistics.surfaces.surface_result import FittedSurface
 
 
 #: Cells beyond which their spreads, and rows beyond which their values, are not drawn one by one.

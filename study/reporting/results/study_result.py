@@ -14,7 +14,7 @@ from study.ground.curve import Curve
 from study.record.document import MADE_ELSEWHERE
 from study.record.record import Record
 from study.statistics.analysis.failures import FailurePattern
-from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.surfaces.surface_result import FittedSurface
 
 if TYPE_CHECKING:
     import pandas as pd
