@@ -46,10 +46,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.anova_table import Comparison, NestedUnits
+    from study.statistics.analysis.anova_table import Comparison, Contrast, NestedUnits
     from study.statistics.analysis.comparisons import Comparisons
     from study.statistics.analysis.mixed_model import MixedModel
-    from study.statistics.analysis.post_hoc import Coefficient, Contrast
+    from study.statistics.analysis.post_hoc import Coefficient
 
 
 #: Digits of sums of squares and statistics, as Minitab prints them.

@@ -75,9 +75,8 @@ class Assumptions(Keyed):
     @property
     def variance(self) -> dict[str, object]:
         """Documents of the tests of equal spread; null where they do not apply."""
-        tests = {"bartlett": self.bartlett, "levene": self.levene}
-        documents = {name: test and test.to_json() for name, test in tests.items()}
-        return {**documents, "fligner": self.fligner}
+        documents = {name: test.to_json() for name, test in self.spread.items()}
+        return {"bartlett": None, "levene": None, **documents, "fligner": self.fligner}
 
 
 #: what a constant response is compared with

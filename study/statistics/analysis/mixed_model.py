@@ -63,8 +63,7 @@ from study.statistics.analysis.linear_model import (
     term_name,
     terms_of,
 )
-from study.statistics.analysis.post_hoc import contrasts as contrasts_of
-from study.statistics.analysis.post_hoc import with_holm
+from study.statistics.analysis.post_hoc import possible_contrasts, with_holm
 from study.statistics.analysis.restricted_likelihood import (
     MOST_CROSSED,
     Likelihood,
@@ -264,6 +263,9 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     for name, x in values.items():
         rivals += _unequal_slopes(cells, name, x, refitted)
     gate = Gate(bare, scale, cells.sample, tuple(rivals))
+    named, faults = possible_contrasts(gate, data, contrasts)
+    if faults:
+        raise InputError(faults)
     p, judged = {term: test.p for term, test in tests.items()}, gate.judged(terms)
     return MixedModel(
         scatter,
@@ -272,7 +274,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         data.y.size,
         tuple(cells.slope(name) for name in covariates),
         with_holm([size(e, scale, judged) for e in cells.estimates(terms, p)]),
-        contrasts_of(gate, data, contrasts) if contrasts else (),
+        named,
         (
             *(
                 f"{inner} {data.layout.levels[inner][0]} is taken as the same {inner} in every "

@@ -433,14 +433,6 @@ def cells_with_rows(gate: Gate, data: Data) -> CellLayout:
     return cells.take(np.flatnonzero(np.all([code >= 0 for code in codes.values()], axis=0)))
 
 
-def contrasts(gate: Gate, data: Data, texts: Sequence[str]) -> tuple[Contrast, ...]:
-    """Estimate differences of sets of cells."""
-    estimated, faults = possible_contrasts(gate, data, texts)
-    if faults:
-        raise InputError(faults)
-    return estimated
-
-
 def possible_contrasts(
     gate: Gate, data: Data, texts: Sequence[str]
 ) -> tuple[tuple[Contrast, ...], list[Fault]]:
