@@ -49,19 +49,17 @@ from study.reporting.results.study_answers import (
 )
 from study.simulation import overlay
 from study.statistics.surfaces.surface_factors import Runs, never_run
-from study.statistics.surfaces.surface_inversion import (
-    InversionAgreement,
-    NearestCurves,
-    agreeing,
-)
 from study.statistics.surfaces.surface_optimum import (
     Goal,
+    InversionAgreement,
+    NearestCurves,
     ResponseLimit,
+    agreeing,
     check_carries,
+    fit_curves,
     optimum,
     spread_over,
 )
-from study.statistics.surfaces.surface_profile import fit_curves
 
 if TYPE_CHECKING:
     from study.api.assemble import StudyResult

@@ -43,12 +43,12 @@ from study.statistics.analysis.simple_effects import (
     REFUSALS,
 )
 from study.statistics.surfaces.emulator import GIVEN, RANKED
-from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.surfaces.surface_result import FittedSurface
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.statistics.analysis.linear_contrast import Contrast
+    from study.statistics.analysis.anova_table import Contrast
     from study.statistics.analysis.mixed_model import MixedModel
     from study.statistics.analysis.post_hoc import Coefficient
 

@@ -40,16 +40,14 @@ from study.reporting.content.text import (
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 from study.statistics.surfaces.emulator import Emulator
 from study.statistics.surfaces.quadratic import QuadraticSurface, SurfaceTerm
-from study.statistics.surfaces.surface_profile import (
+from study.statistics.surfaces.surface_result import (
     ElementaryEffect,
     FittedSurface,
-    profiles,
-    strongest,
-)
-from study.statistics.surfaces.surface_result import (
     Sensitivity,
     SurfaceAnalysis,
     SurfacePrediction,
+    profiles,
+    strongest,
 )
 
 if TYPE_CHECKING:

@@ -28,14 +28,14 @@ from study.reporting.figures import axes as style
 from study.reporting.figures.axes import Plot, bound, make
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_optimum import check_carries
-from study.statistics.surfaces.surface_profile import (
+from study.statistics.surfaces.surface_result import (
     FittedSurface,
+    SurfaceAnalysis,
     contour,
     left_out,
     profiles,
     strongest,
 )
-from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
 if TYPE_CHECKING:
     from study.reporting.results.study_result import ReportData

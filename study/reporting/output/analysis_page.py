@@ -49,7 +49,7 @@ from study.statistics.analysis.post_hoc import (
 )
 from study.statistics.surfaces.surface_factors import Runs
 from study.statistics.surfaces.surface_fitting import SEE_SURFACE
-from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.surfaces.surface_result import FittedSurface
 
 #: Cells beyond which their spreads, and rows beyond which their values, are not drawn one by one.
 MOST_CELLS = 60

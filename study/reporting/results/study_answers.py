@@ -8,8 +8,7 @@ from typing import Literal
 
 from study.ground.canonical import Keyed
 from study.statistics.analysis.anova_table import Effect
-from study.statistics.surfaces.surface_inversion import FactorCombination
-from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
+from study.statistics.surfaces.surface_optimum import FactorCombination, Goal, ResponseSpread
 
 MATTERS = "holds in both: matters"
 NO_DIFFERENCE = "holds in both: no practical difference"

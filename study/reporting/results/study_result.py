@@ -17,7 +17,7 @@ from study.record.record import Record
 from study.statistics.analysis.anova_table import DepthEffect
 from study.statistics.analysis.failures import FailurePattern
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
-from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.surfaces.surface_result import FittedSurface
 
 if TYPE_CHECKING:
     import pandas as pd
