@@ -169,9 +169,6 @@ def test_a_result_shows_itself_in_a_notebook(tmp_path):
     assert found.warn("said").notes[-1] == "said"
 
 
-#: tables in the suite, and in `make verify`
-FEW = 30
-MANY = 10_000
 NOT_A_NUMBER = re.compile(r"(?<!\w)(nan|-?inf)(?!\w)", re.ASCII)
 
 
@@ -197,17 +194,14 @@ def answered(seed, folder, monkeypatch):
     return answer.code == 0
 
 
-def test_random_tables_are_answered_or_refused_in_words(tmp_path, monkeypatch):
-    good = sum(answered(seed, tmp_path, monkeypatch) for seed in range(FEW))
+LONG = pytest.param(range(30, 10_000), marks=[pytest.mark.slow, pytest.mark.verify])
+
+
+@pytest.mark.parametrize("seeds", [range(30), LONG])
+def test_random_tables_are_answered_or_refused_in_words(tmp_path, monkeypatch, seeds):
+    good = sum(answered(seed, tmp_path, monkeypatch) for seed in seeds)
     # tables that only were refused would show nothing of the analysis
-    assert good > FEW // 8
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-def test_many_random_tables(tmp_path, monkeypatch):
-    good = sum(answered(seed, tmp_path, monkeypatch) for seed in range(FEW, MANY))
-    assert good > MANY // 8
+    assert good > len(seeds) // 8
 
 
 def test_rows_that_are_fitted_exactly_have_a_page(tmp_path):
