@@ -203,17 +203,11 @@ AGREEING = {"nasa": 2.0, "celik-1": 2.0, "celik-2": 1.0}
 PUBLISHED = Path(__file__).resolve().parents[2] / "validation" / "convergence.csv"
 
 
-def published():
-    with PUBLISHED.open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
-
-
-def printed(value, like):
-    """Round to the digits of a printed number."""
-    return f"{value:.{len(like.partition('.')[2])}f}"
-
-
-@pytest.mark.parametrize("row", published(), ids=lambda r: f"{r['id']}-{r['quantity']}")
+@pytest.mark.parametrize(
+    "row",
+    list(csv.DictReader(PUBLISHED.read_text("utf-8").splitlines())),
+    ids=lambda r: f"{r['id']}-{r['quantity']}",
+)
 def test_published_examples_to_every_printed_digit(row):
     """V43 and the examples of the procedure that everybody cites (PUB)."""
     sizes, values = ([float(v) for v in row[key].split(";")] for key in ("sizes", "values"))
@@ -230,7 +224,8 @@ def test_published_examples_to_every_printed_digit(row):
         "relative_error_percent": 100 * abs((values[0] - values[1]) / values[0]),
         "extrapolated_error_percent": 100 * abs(1 - values[0] / result.extrapolated),
     }[row["quantity"]]
-    assert printed(found, row["printed"]) == row["printed"]
+    decimals = len(row["printed"].partition(".")[2])
+    assert f"{found:.{decimals}f}" == row["printed"]
 
 
 def test_the_oscillating_example_of_celik_gets_no_order():

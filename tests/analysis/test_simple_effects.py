@@ -55,16 +55,12 @@ def with_blocks(cells, blocks, se, seed=1):
 
 def judged(layout, y, factor, practical):
     """Simple effects of a factor as a study with blocks judges them."""
-    fit = factor_model(layout, y)
+    fit = fitted(model_matrix(layout, terms_of(tuple(layout.levels))), y.mean(axis=1))
     added = np.linalg.pinv(fit.matrix.columns) @ (y - y[0, 0]) / y.shape[1]
     sample = over_groups(fit, added, [np.arange(y.shape[1])], 0.05, 1)
     found = simple_effects(factor, layout, fit.matrix, sample, practical, None)
     assert found is not None
     return found
-
-
-def factor_model(layout, y):
-    return fitted(model_matrix(layout, terms_of(tuple(layout.levels))), y.mean(axis=1))
 
 
 def test_effects_that_average_out_do_not_let_a_factor_be_chosen():

@@ -143,17 +143,12 @@ def stored(store):
     return [record for name in names if (record := store.read(name)) is not None]
 
 
-def older(record):
-    """Make a record of another numpy."""
-    return replace(record, versions={**record.versions, "numpy": "1.0.0"})
-
-
 def test_other_libraries_are_told_refused_or_made_again(home):
     store = Store(home / "results" / "small")
     records = stored(store)
     now = records[0].versions["numpy"]
     for record in records[:5]:
-        store.write(older(record))
+        store.write(replace(record, versions={**record.versions, "numpy": "1.0.0"}))
     with pytest.raises(RefusedError, match=rf"5 results .* libraries: numpy 1\.0\.0, now {now}"):
         api.run("small.toml", data="data", jobs=1, reports=None, stale="refuse")
     warned = api.run("small.toml", data="data", jobs=1, reports=None)
