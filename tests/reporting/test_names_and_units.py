@@ -10,6 +10,8 @@ import pytest
 
 from tests.cli.small import study
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 LONG = "predicted_contact_pressure_at_the_outer_edge_of_the_{}_plate"
 #: responses whose names are alike in the letters that a file has, and what b is above a
 ALIKE = {
