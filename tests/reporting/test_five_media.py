@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from study import analyze
-from study.reporting.figures.axes import data_alone
 from tests.cli.small import success
-from tests.reporting.example import words_of
+from tests.reporting.example import data_alone, words_of
 
 TABLE = Path(__file__).parents[2] / "validation" / "statistics" / "battery_life.csv"
 ASKED = ("--response", "life", "--factors", "material,temperature", "--practical", "10")
