@@ -179,15 +179,10 @@ def untyped_aliases(root: Path) -> list[str]:
         f"{path}: {ast.unparse(name)}"
         for path, tree in trees(root)
         for node in tree.body
-        if isinstance(node, ast.Assign | ast.AnnAssign) and _names_any(node.value)
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None
+        if any(isinstance(n, ast.Name) and n.id == "Any" for n in ast.walk(node.value))
         for name in (node.targets if isinstance(node, ast.Assign) else [node.target])
     ]
-
-
-def _names_any(value: ast.expr | None) -> bool:
-    return value is not None and any(
-        isinstance(node, ast.Name) and node.id == "Any" for node in ast.walk(value)
-    )
 
 
 def wide_classes(root: Path) -> dict[str, int]:
@@ -257,14 +252,6 @@ def _taken(node: ast.AST) -> list[str]:
     return []
 
 
-def defined_functions(root: Path) -> Iterator[tuple[Path, ast.FunctionDef]]:
-    """Every function and method with its module."""
-    for path, tree in trees(root):
-        for node in walked(tree):
-            if isinstance(node, ast.FunctionDef):
-                yield path, node
-
-
 def docstring_lines(node: ast.Module | ast.ClassDef | ast.FunctionDef) -> int:
     """Lines of a docstring, its quotes included."""
     first = node.body[0] if node.body else None
@@ -275,17 +262,13 @@ def docstring_lines(node: ast.Module | ast.ClassDef | ast.FunctionDef) -> int:
     return 0
 
 
-def code_lines(node: ast.FunctionDef) -> int:
-    """Lines of a function with its signature, without its docstring and decorators."""
-    return (node.end_lineno or 0) - node.lineno + 1 - docstring_lines(node)
-
-
 def small_helpers(root: Path) -> list[str]:
     """Private functions of a few lines that are called in one place, and are better written there.
 
     Let off are those that a test imports, that name a paper by its year, and decorated ones.
     """
-    tested = _words(path.read_text(encoding="utf-8") for path in (root / "tests").rglob("*.py"))
+    tests = (path.read_text(encoding="utf-8") for path in (root / "tests").rglob("*.py"))
+    tested = {word for text in tests for word in re.findall(r"\b_\w+", text)}
     small = []
     for path, tree in trees(root):
         uses = Counter(node.id for node in walked(tree) if isinstance(node, ast.Name))
@@ -313,10 +296,6 @@ def _body_lines(node: ast.FunctionDef) -> int:
     return (node.end_lineno or 0) - body[0].lineno + 1 if body else 0
 
 
-def _words(texts: Iterable[str]) -> set[str]:
-    return {word for text in texts for word in re.findall(r"\b_\w+", text)}
-
-
 def long_docstrings(root: Path) -> list[str]:
     """Functions whose docstring is longer than they are, outside the public interface."""
     public = public_names(root)
@@ -330,8 +309,11 @@ def long_docstrings(root: Path) -> list[str]:
     }
     return [
         f"{path}: {node.name}"
-        for path, node in defined_functions(root)
-        if docstring_lines(node) > code_lines(node)
+        for path, tree in trees(root)
+        for node in walked(tree)
+        if isinstance(node, ast.FunctionDef)
+        # without decorators
+        and 2 * docstring_lines(node) > (node.end_lineno or 0) - node.lineno + 1
         and node.name not in public
         and id(node) not in off
     ]
@@ -495,20 +477,14 @@ def contract(root: Path, name: str) -> dict[str, Any]:
     return found
 
 
-def reads_environment(tree: ast.Module) -> bool:
-    """Whether a module looks at environment variables."""
-    return any(
-        isinstance(node, ast.Attribute) and node.attr in {"environ", "getenv", "putenv"}
-        for node in walked(tree)
-    )
-
-
 def environment_readers(root: Path) -> set[str]:
     """Modules below the command line that read environment variables."""
     return {
         str(path)
         for path, tree in trees(root)
-        if reads_environment(tree) and not str(path).startswith(MAY_READ_ENVIRONMENT)
+        if not str(path).startswith(MAY_READ_ENVIRONMENT)
+        for node in walked(tree)
+        if isinstance(node, ast.Attribute) and node.attr in {"environ", "getenv", "putenv"}
     }
 
 

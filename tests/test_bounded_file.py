@@ -14,35 +14,26 @@ from study.ground import bounded_file
 from study.ground.bounded_file import NotRegularError, UnreadableError
 
 
-def special(kind, folder):
-    path = folder / "study.json"
-    if kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "folder":
-        path.mkdir()
-    elif kind == "endless device":
-        path.symlink_to("/dev/zero")
-    elif kind == "socket":
-        with socket.socket(socket.AF_UNIX) as made:
-            os.chdir(folder)  # the name of a socket has at most 107 bytes
-            made.bind(path.name)
-    return path
+def bind_socket(path):
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(path.name)  # the name of a socket has at most 107 bytes
 
 
 @pytest.mark.parametrize(
-    ("kind", "said"),
-    [("pipe", "a pipe"), ("folder", "a folder"), ("endless device", "a device")],
+    ("make", "said"),
+    [
+        (os.mkfifo, "is no file but a pipe"),
+        (Path.mkdir, "is no file but a folder"),
+        (lambda path: path.symlink_to("/dev/zero"), "is no file but a device"),
+        (bind_socket, "cannot be read"),
+    ],
 )
-def test_what_is_no_file_is_refused_at_once(tmp_path, kind, said):
-    path = special(kind, tmp_path)
-    with pytest.raises(NotRegularError, match=f"is no file but {said}"):
-        bounded_file.read_regular(path)
-
-
-def test_a_socket_is_no_file(tmp_path, monkeypatch):
+def test_what_is_no_file_is_refused_at_once(tmp_path, monkeypatch, make, said):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UnreadableError, match="cannot be read"):
-        bounded_file.read_regular(special("socket", tmp_path))
+    make(tmp_path / "study.json")
+    with pytest.raises(UnreadableError, match=said) as caught:
+        bounded_file.read_regular(tmp_path / "study.json")
+    assert isinstance(caught.value, NotRegularError) == ("is no file" in said)
 
 
 def test_a_missing_file_is_none_or_said(tmp_path):

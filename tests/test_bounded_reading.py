@@ -30,38 +30,25 @@ OURS = {"read_csv", "read_table", "read_json", "read_text", "read_bytes"}
 READERS = {"diagnostics", "text_file", "bounded_file", "tabular", "tidy_csv", "self"}
 WRITING = {"w", "wb", "x", "xb", "a", "ab"}
 
-#: place and call, and why it may: this list may only become shorter
 EXCEPTIONS = {
-    ("study/ground/working_folder.py", "open"): "a handle of the folder to return to",
-    ("study/external/answers.py", "open"): "a process, which is no file",
-    ("study/harness/design/load.py", "read_text"): "a file of the package",
-    ("study/reporting/output/page.py", "read_text"): "a file of the package",
-    ("study/ground/compilation.py", "read_bytes"): "sources of the package",
-    ("study/simulation/provenance.py", "read_text"): "sources of the package, and their hash",
-    (
-        "study/ground/atomic_files.py",
-        "open",
-    ): "handles for fsync and of the lock, of which 4 kB are read",
-    ("study/simulation/solve_task.py", "open"): "memory of this process, from /proc",
-    ("study/execution/local.py", "read_text"): "memory of the machine, from /proc",
-    (
-        "study/external/launcher.py",
-        "open",
-    ): "4 kB of /proc, in a program without this package",
-    ("study/cli/app.py", "open"): "/dev/null, to be written to",
-    (
-        "study/cli/study_commands.py",
-        "json.loads",
-    ): "a record that was read and written again in memory",
-    ("study/execution/local.py", "open"): "a pool of processes",
+    "study/ground/working_folder.py: open": "a handle of the folder to return to",
+    "study/external/answers.py: open": "a process, which is no file",
+    "study/harness/design/load.py: read_text": "a file of the package",
+    "study/reporting/output/page.py: read_text": "a file of the package",
+    "study/ground/compilation.py: read_bytes": "sources of the package",
+    "study/simulation/provenance.py: read_text": "sources of the package, and their hash",
+    "study/ground/atomic_files.py: open": "for fsync, and of the lock, of which 4 kB are read",
+    "study/simulation/solve_task.py: open": "memory of this process, from /proc",
+    "study/execution/local.py: read_text": "memory of the machine, from /proc",
+    "study/external/launcher.py: open": "4 kB of /proc, in a program without this package",
+    "study/cli/app.py: open": "/dev/null, to be written to",
+    "study/cli/study_commands.py: json.loads": "a record, read and written again in memory",
+    "study/execution/local.py: open": "a pool of processes",
     **{
-        (
-            "study/mechanics/surface/closed_surface.py",
-            f"{kind}.read",
-        ): "a parser behind the reader's checks"
+        f"study/mechanics/surface/closed_surface.py: {kind}.read": "behind the reader's checks"
         for kind in ("stl", "ply", "obj")
     },
-    ("study/laboratory/shape/boundary.py", "vtu.read"): "a parser behind the reader's checks",
+    "study/laboratory/shape/boundary.py: vtu.read": "a parser behind the reader's checks",
 }
 
 
@@ -69,22 +56,18 @@ def calls_of(tree):
     """Names of the calls that open a file for reading, or parse what was read."""
     calls = set()
     for node in ast.walk(tree):
-        if not isinstance(node, ast.Call) or _writes(node):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            # a parser may be handed on by name, too
+            if (node.value.id, node.attr) in OPENS_OF:
+                calls.add(f"{node.value.id}.{node.attr}")
+        elif not isinstance(node, ast.Call) or _writes(node):
             continue
-        if isinstance(node.func, ast.Name) and node.func.id in OPENS - OURS:
+        elif isinstance(node.func, ast.Name) and node.func.id in OPENS - OURS:
             calls.add(node.func.id)
-        elif isinstance(node.func, ast.Attribute):
+        elif isinstance(node.func, ast.Attribute) and node.func.attr in OPENS:
             before = node.func.value.id if isinstance(node.func.value, ast.Name) else ""
-            if (before, node.func.attr) in OPENS_OF:
-                calls.add(f"{before}.{node.func.attr}")
-            elif node.func.attr in OPENS and before not in READERS:
+            if before not in READERS and (before, node.func.attr) not in OPENS_OF:
                 calls.add(node.func.attr)
-    # a parser may be handed on by name, too
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Attribute) or not isinstance(node.value, ast.Name):
-            continue
-        if (node.value.id, node.attr) in OPENS_OF:
-            calls.add(f"{node.value.id}.{node.attr}")
     return calls
 
 
@@ -107,7 +90,7 @@ def _writes(call):
 
 @cache
 def found(root):
-    return {(path.as_posix(), call) for path, tree in trees(root) for call in calls_of(tree)
+    return {f"{path.as_posix()}: {call}" for path, tree in trees(root) for call in calls_of(tree)
             if path.as_posix() != READER}  # fmt: skip
 
 

@@ -44,16 +44,20 @@ def furnished(tmp_path):
 
 def gate(house, *command):
     """Run a gate in the copy, with the tools of this environment."""
-    tool = Path(sys.executable).parent / command[0]
+    tool = str(Path(sys.executable).parent / command[0])
     environment = {**os.environ, "PYTHONPATH": str(house), "NO_COLOR": "1"}
     return subprocess.run(
-        [str(tool), *command[1:]],
-        cwd=house,
-        env=environment,
-        capture_output=True,
-        text=True,
+        [tool, *command[1:]], cwd=house, env=environment, capture_output=True, text=True,
         check=False,
-    )
+    )  # fmt: skip
+
+
+def assert_breach(house, command, *said):
+    """Run a gate that must see a breach, and say so."""
+    run = gate(house, *command)
+    assert run.returncode == 1, run.stdout + run.stderr
+    for words in said:
+        assert words in run.stdout + run.stderr
 
 
 STYLE = ("ruff", "check", "--no-cache", ".")
@@ -88,26 +92,16 @@ def test_a_gate_lets_the_clean_house_pass(house, command):
 )
 def test_style_sees(house, code, rule):
     (house / "study" / "breach.py").write_text('"""A breach."""\n\n' + code)
-    run = gate(house, *STYLE)
-    assert run.returncode == 1
-    assert rule in run.stdout
+    assert_breach(house, STYLE, rule)
 
 
-def test_format_sees_single_quotes(house):
-    (house / "study" / "breach.py").write_text("name = 'cone'\n")
-    run = gate(house, *FORMAT)
-    assert run.returncode == 1
-    assert "breach.py" in run.stdout
+WRONG = "def area(radius):\n    return radius\n\n\nwidth: float = 'wide'\n"
 
 
-def test_types_sees_a_missing_and_a_wrong_type(house):
-    (house / "study" / "breach.py").write_text(
-        "def area(radius):\n    return radius\n\n\nwidth: float = 'wide'\n"
-    )
-    run = gate(house, *TYPES)
-    assert run.returncode == 1
-    assert "[no-untyped-def]" in run.stdout
-    assert "[assignment]" in run.stdout
+def test_format_sees_single_quotes_and_types_a_missing_and_a_wrong_type(house):
+    (house / "study" / "breach.py").write_text(WRONG)
+    assert_breach(house, FORMAT, "breach.py")
+    assert_breach(house, TYPES, "[no-untyped-def]", "[assignment]")
 
 
 WINGS = "Each wing imports only those below it"
@@ -185,9 +179,7 @@ def test_layers_sees_an_exception_that_nobody_needs(furnished):
     (furnished / "pyproject.toml").write_text(
         text.replace('"study.ground.compilation -> numba"', stale)
     )
-    run = gate(furnished, *LAYERS)
-    assert run.returncode == 1
-    assert "study.ground.units -> numba" in run.stdout + run.stderr
+    assert_breach(furnished, LAYERS, "study.ground.units -> numba")
 
 
 def test_generated_sees_an_edited_coefficient(furnished):
@@ -322,11 +314,8 @@ def test_rules_see_deep_empty_and_namesake_modules_and_classes(house):
 
 
 def test_rules_see_a_name_that_nobody_uses(house):
-    plant(
-        house,
-        "ground/units.py",
-        "\n\ndef lonely():\n    return 1\n\n\ndef shown():\n    return 1\n",
-    )
+    code = "\n\ndef lonely():\n    return 1\n\n\ndef shown():\n    return 1\n"
+    plant(house, "ground/units.py", code)
     (house / "study" / "page.html").write_text("{{ table.shown }}")
     assert rules.unused(house) == ["lonely"]
 
@@ -377,20 +366,18 @@ def test_the_ledger_sees_a_room_that_grows_and_writes_it_down(house, capsys):
     assert ledger.main(["--check"], root=house) == 0
 
 
-def test_a_warning_fails_a_test(house):
-    (house / "tests" / "test_breach.py").write_text(
-        "import warnings\n\n\ndef test_warns():\n    warnings.warn('careful', stacklevel=1)\n"
-    )
-    run = gate(house, *TESTS, "tests")
-    assert run.returncode == 1
-    assert "UserWarning: careful" in run.stdout
-
-
-def test_doctests_of_the_package_are_run(house):
-    (house / "study" / "breach.py").write_text('"""A breach.\n\n>>> 1 + 1\n3\n"""\n')
-    run = gate(house, *TESTS, "study")
-    assert run.returncode == 1
-    assert "study.breach" in run.stdout
+@pytest.mark.parametrize(
+    ("file", "code", "said"),
+    [
+        ("tests/test_breach.py",
+         "import warnings\n\n\ndef test_warns():\n    warnings.warn('careful', stacklevel=1)\n",
+         "UserWarning: careful"),
+        ("study/breach.py", '"""A breach.\n\n>>> 1 + 1\n3\n"""\n', "study.breach"),
+    ],
+)  # fmt: skip
+def test_a_warning_fails_a_test_and_doctests_of_the_package_are_run(house, file, code, said):
+    (house / file).write_text(code)
+    assert_breach(house, (*TESTS, file.partition("/")[0]), said)
 
 
 def test_slow_tests_are_left_out_unless_asked_for(house):
@@ -402,29 +389,24 @@ def test_slow_tests_are_left_out_unless_asked_for(house):
     assert gate(house, *TESTS, "-m", "verify", "tests").returncode == 1
 
 
-@pytest.mark.parametrize(
-    "broken", [None, "test", "lint", "format-check", "types", "layers", "generated"]
-)
+GATES = ("test", "lint", "format-check", "types", "layers", "generated")
+
+
+@pytest.mark.parametrize("broken", [None, *GATES])
 def test_ci_names_the_gate_that_failed(tmp_path, broken):
     (tmp_path / ".ci").mkdir()
     shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci")
-    tools = tmp_path / "bin"
-    tools.mkdir()
-    make = tools / "make"
+    make = tmp_path / "bin" / "make"
+    make.parent.mkdir()
     make.write_text(
         f'#!/bin/sh\nfor last; do :; done\necho "ran $last"\n[ "$last" != "{broken}" ]\n'
     )
     make.chmod(0o755)
     run = subprocess.run(
-        [str(tmp_path / ".ci" / "run")],
-        env={"PATH": f"{tools}:{os.environ['PATH']}"},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+        [str(tmp_path / ".ci" / "run")], env={"PATH": f"{make.parent}:{os.environ['PATH']}"},
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+    )  # fmt: skip
     # The others still run: one look at the log tells everything that is wrong.
-    for name in ("test", "lint", "format-check", "types", "layers", "generated"):
-        assert f"ran {name}\n" in run.stdout
+    assert [name for name in GATES if f"ran {name}\n" not in run.stdout] == []
     assert run.returncode == (0 if broken is None else 1)
     assert run.stderr.strip() == ("" if broken is None else f"failed: {broken}")

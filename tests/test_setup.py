@@ -26,14 +26,11 @@ LINKED = (
 COMMAND = "sudo apt-get update && sudo apt-get install -y --no-install-recommends libglu1-mesa"
 
 
-def test_message_names_the_command_and_every_library():
+def test_message_names_the_command_and_every_library_but_for_a_missing_wheel():
     text = libraries["message"](MISSING)
     assert "libGLU.so.1" in text
     assert COMMAND in text
     assert set(text.split()) >= set(LINKED.split())
-
-
-def test_message_for_a_missing_wheel_does_not_speak_of_libraries():
     text = libraries["message"]("ModuleNotFoundError: No module named 'gmsh'")
     assert "make setup" in text
     assert "apt-get" not in text
@@ -89,8 +86,6 @@ def machine(tmp_path):
     """Bare machine: a copy of the set-up script, and a PATH with the few tools it uses."""
     (tmp_path / "scripts").mkdir()
     shutil.copy(ROOT / "scripts" / "setup.sh", tmp_path / "scripts")
-    tools = tmp_path / "bin"
-    tools.mkdir()
     # Small programs of our own, never links to the real ones.
     tool(tmp_path, "dirname", 'echo "${1%/*}"')
     tool(tmp_path, "uname", "echo x86_64")
@@ -98,9 +93,10 @@ def machine(tmp_path):
     return tmp_path
 
 
-def tool(machine, name, body):
-    """Put a small program on the PATH of the bare machine."""
-    path = machine / "bin" / name
+def tool(machine, name, body, folder="bin"):
+    """Put a small program on the PATH of the bare machine, or into its environment."""
+    path = machine / folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
     # Writing through a link would overwrite the real program of this machine.
     path.unlink(missing_ok=True)
     path.write_text(f"#!{SH}\n{body}\n")
@@ -112,6 +108,7 @@ def set_up(machine):
     return subprocess.run([SH, script], env=path, capture_output=True, text=True, check=False)
 
 
+ENVIRONMENT = ".venv/bin"
 PYTHON_WITHOUT_VENV = 'case "$2" in *ensurepip*) exit 1 ;; *print*) echo 3.12 ;; esac'
 
 
@@ -147,18 +144,9 @@ def test_setup_says_what_is_missing_or_installs_it_as_root(machine, tools, print
     assert not (machine / ".venv").exists()
 
 
-def environment(machine, **programs):
-    """Put small programs into the environment that the set-up script has made."""
-    folder = machine / ".venv" / "bin"
-    folder.mkdir(parents=True)
-    for name, body in programs.items():
-        (folder / name).write_text(f"#!{SH}\n{body}\n")
-        (folder / name).chmod(0o755)
-
-
 def test_setup_falls_back_without_the_fast_solver(machine):
     python = "case \"$*\" in *'.[fast'*) exit 1 ;; *'.[test]'*) echo installed ;; esac"
-    environment(machine, python=python)
+    tool(machine, "python", python, ENVIRONMENT)
     run = set_up(machine)
     assert run.returncode == 0, run.stderr
     assert "again without the fast 3D solver" in run.stderr
@@ -166,7 +154,7 @@ def test_setup_falls_back_without_the_fast_solver(machine):
 
 
 def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine):
-    environment(machine, python='echo "$*"')
+    tool(machine, "python", 'echo "$*"', ENVIRONMENT)
     extras = {}
     for processor in ("x86_64", "aarch64"):
         tool(machine, "uname", f"echo {processor}")
@@ -177,7 +165,8 @@ def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine):
 @pytest.mark.parametrize("works", [True, False])
 def test_setup_installs_the_locked_versions_with_uv_or_else_with_pip(machine, works):
     python = 'case "$*" in *platform*) echo linux x86_64 3.11 ;; *) echo "python $*" ;; esac'
-    environment(machine, python=python, uv=f'echo "uv $*"\nexit {int(not works)}')
+    tool(machine, "python", python, ENVIRONMENT)
+    tool(machine, "uv", f'echo "uv $*"\nexit {int(not works)}', ENVIRONMENT)
     run = set_up(machine)
     assert run.returncode == 0, run.stderr
     installed = [line for line in run.stdout.splitlines() if "requirements.lock" in line]

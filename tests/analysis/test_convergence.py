@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,42 +16,40 @@ from validation.bounds import FAMILIES, coverage
 
 
 @pytest.mark.parametrize(
-    ("sizes", "values", "behaviour"),
+    ("sizes", "values", "tolerance", "behaviour", "u_num", "says"),
     [
-        ([1, 2, 4], [0.97050, 0.96854, 0.96178], "monotone"),
+        ([1, 2, 4], [0.97050, 0.96854, 0.96178], None, "monotone", None, ""),
         # R = 1.67 is above 1 and converges: h = 1, 2, 2.6 at order 1
-        ([1, 2, 2.6], [2.0, 3.0, 3.6], "monotone"),
-        ([1, 2, 4], [1.0, 1.3, 1.2], "divergent"),
-        ([1, 2, 4], [3.0, 2.0, 1.0], "divergent"),
-        ([1, 2, 4], [1.0, 1.0, 1.0], "noise-floor"),
-        ([1, 2, 4], [1.0, 1.0, 1.2], "inconclusive"),
-        ([1, 2, 4], [1.0, 1.2, 1.2], "inconclusive"),
+        ([1, 2, 2.6], [2.0, 3.0, 3.6], None, "monotone", None, ""),
+        ([1, 2, 4], [1.0, 1.3, 1.2], None, "divergent", None, ""),
+        ([1, 2, 4, 8], [4.0, 3.0, 2.0, 1.0], None, "divergent", 6.0, "do not shrink"),
+        ([1, 2, 4], [1.0, 1.0, 1.2], None, "inconclusive", None, ""),
+        ([1, 2, 4], [1.0, 1.2, 1.2], None, "inconclusive", None, ""),
+        # noise: the tolerance, or thrice the range
+        ([1, 2, 4], [1.0, 1.0, 1.0], 1e-9, "noise-floor", 1e-9, ""),
+        ([1, 2, 4], [1.0, 1.0 + 3e-9, 1.0 - 4e-9], 1e-9, "noise-floor", 2.1e-8, ""),
+        ([1, 2, 4], [3.0001, 3.0002, 3.0004], 2e-3, "noise-floor", 2e-3,
+         "bound 0.002, the tolerance"),
+        ([1, 2, 4], [7.0, np.nextafter(7.0, 8.0), 7.0], None, "noise-floor", None,
+         "those of solver and meshes"),
+        # growing changes below a hundredth of the value
+        ([1, 2, 4], [10.0, 10.015, 10.02], None, "noise-floor", 0.06,
+         "(?s)(?=.*do not shrink)(?=.*below 1 %)(?=.*0.06)"),
+        # an oscillation: thrice the range of the finest three, or half that of all, if larger
+        ([1, 2, 4, 8], [1.0, 1.1, 0.9, 1.2], None, "oscillatory", 3 * 0.2, "another mesh"),
+        ([1, 1.5, 2, 3, 4], [2.0, 2.003, 1.999, 2.04, 2.3], None, "oscillatory", 0.301 / 2,
+         "0.15"),
     ],
-)
-def test_behaviour(sizes, values, behaviour):
-    result = grid_convergence(sizes, values)
+)  # fmt: skip
+def test_behaviour_bound_and_verdict(sizes, values, tolerance, behaviour, u_num, says):
+    asked = {} if tolerance is None else {"tolerance": tolerance}
+    result = grid_convergence(sizes, values, **asked)
     assert result.behaviour == behaviour
+    assert u_num is None or result.u_num == pytest.approx(u_num)
+    assert re.search(says, result.verdict)
     if behaviour != "monotone":
-        assert result.gci_fine is None
-        assert result.observed_order is None
+        assert (result.gci_fine, result.observed_order) == (None, None)
     json.dumps(result.to_json(), allow_nan=False)
-
-
-def test_noise_floor_reports_the_tolerance_or_thrice_the_range():
-    result = grid_convergence([1, 2, 4], [1.0, 1.0 + 3e-9, 1.0 - 4e-9], tolerance=1e-9)
-    assert result.behaviour == "noise-floor"
-    assert result.u_num == pytest.approx(2.1e-8)
-    assert grid_convergence([1, 2, 4], [1.0, 1.0, 1.0], tolerance=1e-9).u_num == 1e-9
-
-
-def test_an_oscillation_is_bounded_by_its_range_and_says_so():
-    """Thrice that of the finest three meshes, or half that of all, whichever is larger."""
-    four = grid_convergence([1, 2, 4, 8], [1.0, 1.1, 0.9, 1.2])
-    assert four.u_num == pytest.approx(3 * 0.2)
-    assert "another mesh" in four.verdict
-    five = grid_convergence([1, 1.5, 2, 3, 4], [2.0, 2.003, 1.999, 2.04, 2.3])
-    assert five.u_num == pytest.approx(0.301 / 2)
-    assert "0.15" in five.verdict
 
 
 def test_two_meshes_with_an_order_have_the_index_of_roache():
@@ -72,27 +71,6 @@ def test_an_order_above_the_formal_one_widens_the_bound(p):
     assert result.u_num >= 1.999 * error
     if p > 2.5:
         assert result.u_num == pytest.approx(max(3 * error, f[2] - f[0]))
-
-
-def test_growing_changes_below_a_hundredth_of_the_value_are_noise():
-    result = grid_convergence([1, 2, 4], [10.0, 10.015, 10.02], formal_order=2)
-    assert (result.behaviour, result.u_num) == ("noise-floor", pytest.approx(0.06))
-    assert "0.06" in result.verdict
-    equal = grid_convergence([1, 2, 4, 8], [4.0, 3.0, 2.0, 1.0])
-    assert "do not shrink" in equal.verdict
-    assert equal.u_num == pytest.approx(6.0)
-
-
-def test_what_is_said_of_noise_is_what_was_seen():
-    """Changes that grow below a hundredth of the value, changes of rounding, and a tolerance."""
-    grows = grid_convergence([1, 2, 4], [10.0, 10.015, 10.02])
-    assert "do not shrink" in grows.verdict
-    assert "below 1 %" in grows.verdict
-    rounded = grid_convergence([1, 2, 4], [7.0, np.nextafter(7.0, 8.0), 7.0])
-    assert "those of solver and meshes" in rounded.verdict
-    tolerant = grid_convergence([1, 2, 4], [3.0001, 3.0002, 3.0004], tolerance=2e-3)
-    assert tolerant.u_num == 2e-3
-    assert "bound 0.002, the tolerance" in tolerant.verdict
 
 
 def test_a_coarse_mesh_that_goes_the_other_way_is_said():
@@ -225,17 +203,11 @@ AGREEING = {"nasa": 2.0, "celik-1": 2.0, "celik-2": 1.0}
 PUBLISHED = Path(__file__).resolve().parents[2] / "validation" / "convergence.csv"
 
 
-def published():
-    with PUBLISHED.open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
-
-
-def printed(value, like):
-    """Round to the digits of a printed number."""
-    return f"{value:.{len(like.partition('.')[2])}f}"
-
-
-@pytest.mark.parametrize("row", published(), ids=lambda r: f"{r['id']}-{r['quantity']}")
+@pytest.mark.parametrize(
+    "row",
+    list(csv.DictReader(PUBLISHED.read_text("utf-8").splitlines())),
+    ids=lambda r: f"{r['id']}-{r['quantity']}",
+)
 def test_published_examples_to_every_printed_digit(row):
     """V43 and the examples of the procedure that everybody cites (PUB)."""
     sizes, values = ([float(v) for v in row[key].split(";")] for key in ("sizes", "values"))
@@ -252,7 +224,8 @@ def test_published_examples_to_every_printed_digit(row):
         "relative_error_percent": 100 * abs((values[0] - values[1]) / values[0]),
         "extrapolated_error_percent": 100 * abs(1 - values[0] / result.extrapolated),
     }[row["quantity"]]
-    assert printed(found, row["printed"]) == row["printed"]
+    decimals = len(row["printed"].partition(".")[2])
+    assert f"{found:.{decimals}f}" == row["printed"]
 
 
 def test_the_oscillating_example_of_celik_gets_no_order():

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import fisher_exact
 
+from study import api
 from study.statistics.analysis.failures import CaseFate, cause, failure_pattern
-from tests.cli.small import study
 
 
 def design(bad, blocks):
@@ -119,14 +119,14 @@ def test_a_cause_is_cut_between_words_and_says_so():
 def test_an_imported_table_of_three_levels_has_the_p_of_fisher_in_r(tmp_path):
     """R 4.2.2: fisher.test(matrix(c(6, 4, 1, 9, 2, 8), 2)), p = 0.0773634161940021."""
     failed = {"soft": 6, "medium": 1, "stiff": 2}
-    rows = "".join(
-        f"{kind},r{k},{'' if k < bad else 5 + k / 7}\n" for kind, bad in failed.items()
-        for k in range(10)
-    )  # fmt: skip
-    (tmp_path / "runs.csv").write_text(f"kind,run,peak\n{rows}")
-    answer = study("import", tmp_path / "runs.csv", "--factors", "kind,run", "--responses",
-                   "peak=N", "--results", tmp_path / "results", "--json")  # fmt: skip
-    tests = {test["factor"]: test for test in answer.json["failures"]["tests"]}
+    rows = [
+        f"{kind},r{k},{'' if k < bad else 5 + k / 7}"
+        for kind, bad in failed.items() for k in range(10)
+    ]  # fmt: skip
+    file = tmp_path / "runs.csv"
+    file.write_text("\n".join(["kind,run,peak", *rows]))
+    study = api.import_runs(file, "kind,run", "peak=N", results=tmp_path / "results")
+    tests = {test["factor"]: test for test in study.to_json()["failures"]["tests"]}
     assert tests["kind"]["counts"] == {kind: [bad, 10] for kind, bad in failed.items()}
     assert tests["kind"]["p"] == pytest.approx(0.0773634161940021, rel=1e-12)
     assert tests["kind"]["method"] == "Freeman and Halton's exact test"

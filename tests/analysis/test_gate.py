@@ -106,11 +106,25 @@ def test_blocks_that_lack_a_cell_are_pooled_only_where_that_is_asked_for():
     assert asked.error_term.reason == "asked for"
 
 
-def test_welch_withdraws_what_the_pooled_variance_claims():
-    effect = withdrawn("Welch", groups(5, (20, 20, 4), (0.2, 0.2, 2.0)), practical=2.5)
+def test_welch_withdraws_what_the_pooled_variance_claims_and_the_document_says_so():
+    """Of effects and of contrasts by name; without a practical difference there is no verdict."""
+    table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
+    effect = withdrawn("Welch", table, practical=2.5)
     assert effect.high < 2.5  # the pooled interval alone would claim
     even = groups(5, (20, 20, 4), (0.2, 0.2, 0.2))
     assert judged(even, practical=2.5).verdict == NO_DIFFERENCE
+    found = analyzed(table, "a", practical=2.5)
+    one, other = contrasts(found, ["a=0 - a=2", "a=0 - a=1"])
+    assert (one.verdict, other.verdict) == (CANNOT_TELL, NO_DIFFERENCE)
+    assert "Welch" in one.why
+    document, (row,) = found.to_json(), found.verdicts()
+    assert document["structure"]["empty_cells"] == 0
+    assert len(row["withdrawn"]) == 1
+    assert [(e["verdict"], e["withdrawn"]) for e in document["effects"]] == [
+        (CANNOT_TELL, row["withdrawn"])
+    ]
+    (effect,) = analyzed(table, "a", practical=None).to_json()["effects"]
+    assert {e["verdict"] for e in (effect, *effect["simple_effects"])} == {None}
 
 
 def test_two_rows_that_agree_by_chance_do_not_make_their_group_sure():
@@ -123,11 +137,15 @@ def test_two_rows_that_agree_by_chance_do_not_make_their_group_sure():
 
 
 def test_readings_as_coarse_as_the_differences_claim_nothing():
-    table = crossed(s=3, a=2)
+    """Also where half of the blocks were read in whole units, whatever the unit is."""
+    table = crossed(s=4, a=2)
     table["y"] = 7.0 + table["s"] + 2.0 * table["a"]  # one step more, in every block
-    withdrawn("", table, block="s", practical=1.5)
-    fine = table.assign(y=table["y"] + np.random.default_rng(0).normal(0, 0.01, 6))
+    withdrawn("", table[:6], block="s", practical=1.5)
+    fine = table[:6].assign(y=table["y"] + np.random.default_rng(0).normal(0, 0.01, 8))
     assert judged(fine, block="s", practical=1.5).verdict == MATTERS
+    table.loc[4:, "y"] += [0.113, 0.108, -0.094, -0.102]
+    for unit in (1.0, 1e-12):
+        withdrawn("coarse", table.assign(y=unit * table["y"]), block="s", practical=1.75 * unit)
 
 
 @pytest.mark.parametrize("times", [2, 3])
@@ -135,12 +153,15 @@ def test_copied_rows_are_refused_until_they_are_said_to_be_real(times):
     table = groups(2, (5, 5), (0.3, 0.3)).round(4)
     copied = pd.concat([table] * times, ignore_index=True)
     with pytest.raises(RefusedError, match=f"each row stands {times} times"):
-        anova(copied, "y", ["a"], practical=0.2, exact=False)
-    found = anova(copied, "y", ["a"], practical=0.2, copies="independent", exact=False)
-    assert found.data.y.size == 10 * times
+        analyzed(copied, "a")
+    assert analyzed(copied, "a", copies="independent").data.y.size == 10 * times
     part = pd.concat([copied, groups(9, (1, 1), (0.3, 0.3))], ignore_index=True)
     with pytest.raises(RefusedError, match="repeat another of their cell"):
-        anova(part, "y", ["a"], exact=False)
+        analyzed(part, "a")
+    table = groups(9, (6, 6, 6), (0.3, 0.3, 0.3))
+    table.loc[9:11, "y"] = table.loc[6:8, "y"].to_numpy()
+    with pytest.raises(RefusedError, match="3 of 6 rows repeat another of their cell, as in 1"):
+        analyzed(table, "a")
 
 
 @pytest.mark.parametrize(("times", "digit"), [(2, 1e-9), (2, 1e-4), (3, 1e-5), (3, 1e-3)])
@@ -161,18 +182,23 @@ def test_copies_with_other_last_digits_are_refused(times, digit):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_rows_that_are_close_by_chance_are_no_copies(seed):
-    """Heavy tails crowd in the middle; a step that is no decimal number ties everywhere."""
+    """Heavy tails crowd in the middle; a step that is no decimal number ties everywhere.
+
+    A wrong decimal point, or one cell, makes the scatter of all rows a hundred times larger.
+    """
     random = np.random.default_rng(seed)
-    heavy = pd.DataFrame({"a": np.repeat(list("abc"), 100), "y": random.standard_t(2, 300)})
     step = np.round(random.normal(size=80), 1) * 1.2345678 + 1e-9 * random.normal(size=80)
-    for table in (heavy, pd.DataFrame({"a": np.repeat(list("abcd"), 20), "y": step})):
+    typed = random.normal(2, 0.02, 16).round(3)
+    typed[5] *= 10
+    volatile = np.repeat([0.01, 0.01, 10.0], 8) * random.normal(size=24)
+    coarse = random.normal(5, 0.3, 60)
+    for cells, y in (
+        (3, random.standard_t(2, 300)), (4, step), (2, typed), (3, volatile),
+        (3, random.lognormal(0, 2, 180)), (2, coarse.round(1)), (2, np.log(coarse.round(1))),
+        (2, coarse.round(0)),
+    ):  # fmt: skip
+        table = pd.DataFrame({"a": np.repeat(np.arange(cells), y.size // cells), "y": y})
         refuse_copied_rows(prepare(table, "y", ["a"]))
-
-
-def test_coarse_readings_tie_without_being_copies():
-    table = groups(3, (30, 30), (0.3, 0.3))
-    for y in (table["y"].round(1), np.log(table["y"].round(1)), table["y"].round(0)):
-        assert anova(table.assign(y=y), "y", ["a"], exact=False).data.y.size == 60
 
 
 def test_skewed_differences_need_an_interval_without_a_normal_distribution():
@@ -401,14 +427,6 @@ def test_one_specimen_tells_nothing_of_another():
     assert any("one s (only)" in note for note in analyzed(table, "a", block="s").notes)
 
 
-def test_contrasts_asked_for_by_name_pass_the_gate():
-    table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
-    found = anova(table, "y", ["a"], practical=2.5, exact=False)
-    uneven, even = contrasts(found, ["a=0 - a=2", "a=0 - a=1"])
-    assert (uneven.verdict, even.verdict) == (CANNOT_TELL, NO_DIFFERENCE)
-    assert "Welch" in uneven.why
-
-
 def test_differences_of_rounding_are_no_skewed_sample():
     """Cells that compute the same differ in their last digits alone, all to one side."""
     table = crossed(s=8, a=2)
@@ -428,18 +446,6 @@ def test_a_declared_model_over_blocks_that_lack_cells_is_held_against_its_lack_o
         effect = withdrawn("leaves out interactions", table, name, factors="ac", **asked)
         assert effect.withdrawn == (effect.why,)
     assert any(n.startswith("lack of fit") for n in analyzed(table, "ac", **asked).notes)
-
-
-def test_a_verdict_says_what_withdrew_it_and_is_null_without_a_practical_difference():
-    table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
-    found = anova(table, "y", ["a"], practical=2.5, exact=False)
-    (effect,), (row,) = found.to_json()["effects"], found.verdicts()
-    assert (effect["verdict"], len(effect["withdrawn"])) == (CANNOT_TELL, 1)
-    assert found.to_json()["structure"]["empty_cells"] == 0
-    assert row["withdrawn"] == effect["withdrawn"]
-    (effect,) = anova(table, "y", ["a"], exact=False).to_json()["effects"]
-    assert effect["verdict"] is None
-    assert {e["verdict"] for e in effect["simple_effects"]} == {None}
 
 
 def test_three_rows_of_a_cell_share_what_they_tell_of_the_scatter():
@@ -511,34 +517,6 @@ def test_groups_of_blocks_are_held_to_what_blocks_alone_are():
     assert judged(table, "v", **asked).verdict == MATTERS
     table["y"] = base + np.repeat(random.integers(0, 2**20, 8), 2) / 2**20 + 2.0 * table["v"]
     withdrawn("no scatter to judge by", table, "v", **asked)
-
-
-def test_rows_around_an_outlier_and_beside_a_volatile_cell_are_no_copies():
-    """A wrong decimal point, or one cell, makes the scatter of all rows a hundred times larger."""
-    random = np.random.default_rng(17)
-    typed = pd.DataFrame({"a": np.repeat([0, 1], 8), "y": random.normal(2, 0.02, 16).round(3)})
-    typed.loc[5, "y"] *= 10
-    sd = np.repeat([0.01, 0.01, 10.0], 8)
-    volatile = pd.DataFrame({"a": np.repeat([0, 1, 2], 8), "y": sd * random.normal(size=24)})
-    dense = pd.DataFrame({"a": np.repeat([0, 1, 2], 60), "y": random.lognormal(0, 2, 180)})
-    for table in (typed, volatile, dense):
-        refuse_copied_rows(prepare(table, "y", ["a"]))
-
-
-def test_copies_in_one_cell_are_named_with_it():
-    table = groups(9, (6, 6, 6), (0.3, 0.3, 0.3))
-    table.loc[9:11, "y"] = table.loc[6:8, "y"].to_numpy()
-    with pytest.raises(RefusedError, match="3 of 6 rows repeat another of their cell, as in 1"):
-        anova(table, "y", ["a"], exact=False)
-
-
-def test_readings_of_two_instruments_are_as_coarse_as_both():
-    """Half of the blocks were read in whole units, whatever the unit of the response is."""
-    table = crossed(s=4, a=2)
-    table["y"] = 7.0 + table["s"] + 2.0 * table["a"]
-    table.loc[4:, "y"] += [0.113, 0.108, -0.094, -0.102]
-    for unit in (1.0, 1e-12):
-        withdrawn("coarse", table.assign(y=unit * table["y"]), block="s", practical=1.75 * unit)
 
 
 def test_a_cell_without_scatter_beside_others_judges_nothing():

@@ -90,7 +90,7 @@ def blocked_table(seed):
 
 
 @pytest.mark.parametrize("route", ROUTES)
-@settings(max_examples=4)
+@settings(max_examples=2)
 @given(seeds)
 def test_p15_to_p17_hold_for_blocks_and_strata(route, seed):
     options, table = ROUTES[route], blocked_table(seed)

@@ -30,15 +30,12 @@ def log_relative_error(got, certified):
     return digits
 
 
-def nist_table(path):
-    rows = [line.split() for line in path.read_text().splitlines()[60:] if line.strip()]
-    return pd.DataFrame({"treatment": [r[0] for r in rows], "y": [float(r[1]) for r in rows]})
-
-
 @pytest.mark.parametrize("name", ["SmLs01", "SmLs04", "SmLs07", "SmLs09"])
 def test_influence_keeps_the_digits_of_nist(data_dir, name):
     """Cook's distance and PRESS against rational arithmetic on the stored doubles."""
-    table = nist_table(data_dir / "nist_anova" / f"{name}.dat")
+    lines = (data_dir / "nist_anova" / f"{name}.dat").read_text().splitlines()[60:]
+    rows = [line.split() for line in lines if line.strip()]
+    table = pd.DataFrame({"treatment": [r[0] for r in rows], "y": [float(r[1]) for r in rows]})
     values = table["y"].to_numpy()
     groups = [g.to_numpy() for _, g in table.groupby("treatment", sort=False)["y"]]
     residual = np.concatenate([_deviations(g) for g in groups])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -55,16 +56,12 @@ def with_blocks(cells, blocks, se, seed=1):
 
 def judged(layout, y, factor, practical):
     """Simple effects of a factor as a study with blocks judges them."""
-    fit = factor_model(layout, y)
+    fit = fitted(model_matrix(layout, terms_of(tuple(layout.levels))), y.mean(axis=1))
     added = np.linalg.pinv(fit.matrix.columns) @ (y - y[0, 0]) / y.shape[1]
     sample = over_groups(fit, added, [np.arange(y.shape[1])], Confidence(0.05, 1))
     found = simple_effects(factor, fit.matrix, sample, practical, None)
     assert found is not None
     return found
-
-
-def factor_model(layout, y):
-    return fitted(model_matrix(layout, terms_of(tuple(layout.levels))), y.mean(axis=1))
 
 
 def test_effects_that_average_out_do_not_let_a_factor_be_chosen():
@@ -186,7 +183,7 @@ def outcomes(case, n, seed):
 
 
 ERRORS = ("spherical", "graded", "near copies", "t4")
-FEW = [*((2, 5, e) for e in ERRORS[:2]), (4, 5, "t4"), (4, 9, "near copies")]
+FEW = [(2, 5, "spherical"), (4, 9, "near copies")]
 ALL = [(k, b, e) for k in (2, 4) for b in (5, 6, 9) for e in ERRORS]
 
 
@@ -247,14 +244,13 @@ def test_differences_in_pieces_are_those_of_all_rows(monkeypatch, k):
 def test_an_analysis_in_pieces_says_what_one_at_once_says(monkeypatch):
     """Three factors with replicates: pooled and unequal scatter, with and without pieces."""
     random = np.random.default_rng(5)
-    table = pd.DataFrame([(a, b, c) for a in range(3) for b in range(4) for c in range(2)] * 3,
-                         columns=["a", "b", "c"])  # fmt: skip
+    table = pd.DataFrame([*product(range(3), range(2), range(2))] * 3, columns=["a", "b", "c"])
     table["y"] = 3.0 * table.a + table.b * table.c + random.normal(size=len(table))
     for error in ("auto", "welch"):
         asked = {"practical": 1.0, "error": error, "exact": False}
         whole = anova(table, "y", ["a", "b", "c"], **asked)
         with monkeypatch.context() as patch:
-            patch.setattr(simple_effects_module, "AT_ONCE", 100)
+            patch.setattr(simple_effects_module, "AT_ONCE", 20)
             pieced = anova(table, "y", ["a", "b", "c"], **asked)
         for one, other in zip(whole.effects, pieced.effects, strict=True):
             assert (one.term, one.verdict, one.why) == (other.term, other.verdict, other.why)

@@ -22,6 +22,11 @@ def row(beside, term):
     return next(row for row in beside.conclusions if row.term == term)
 
 
+def beside(folder, first=None, **second):
+    """Compare two studies that are made."""
+    return compare(made(folder, **(first or {})), made(folder, **{"name": "second"} | second))
+
+
 def test_conclusions_that_hold_under_both(tmp_path):
     found = compare(made(tmp_path), made(tmp_path, name="second", material=(5.0, 7.5, 5.1)))
     material, space = row(found, "material"), row(found, "space")
@@ -64,9 +69,7 @@ def test_each_number_is_that_of_its_own_study(tmp_path):
     ],
 )  # fmt: skip
 def test_a_conclusion_of_both(tmp_path, first, second, holds, same_best, conclusion):
-    material = row(
-        compare(made(tmp_path, **first), made(tmp_path, name="second", **second)), "material"
-    )
+    material = row(beside(tmp_path, first, **second), "material")
     assert material.holds is holds
     assert same_best is None or material.same_best is same_best
     assert material.conclusion.startswith(conclusion)
@@ -74,8 +77,7 @@ def test_a_conclusion_of_both(tmp_path, first, second, holds, same_best, conclus
 
 def test_ratios_are_compared_as_ratios(tmp_path):
     log = {"transform": "log", "practical": "10 % of mean", "better": "", "response": "mu0"}
-    found = compare(made(tmp_path, **log), made(tmp_path, name="second", **log))
-    material = row(found, "material")
+    material = row(beside(tmp_path, log, **log), "material")
     assert material.ratio
     assert material.effects[0].range == pytest.approx(7.0 / 5.0, rel=0.02)
     # without a better end the highest level is named, and nothing is called best
@@ -84,8 +86,7 @@ def test_ratios_are_compared_as_ratios(tmp_path):
 
 
 def test_what_only_one_study_has_is_named(tmp_path):
-    second = made(tmp_path, name="second", rename={"space": "plates", "other": "third"})
-    found = compare(made(tmp_path), second)
+    found = beside(tmp_path, rename={"space": "plates", "other": "third"})
     named = {(item.what, item.name, item.study) for item in found.only}
     assert named >= {
         ("factor", "space", "first"), ("factor", "plates", "second"),
@@ -98,12 +99,11 @@ def test_what_only_one_study_has_is_named(tmp_path):
 
 
 def test_differing_inputs_are_listed(tmp_path):
-    second = made(
-        tmp_path, name="second", height="31 mm", practical="0.4 pp", files={"a.csv": "1" * 64},
+    found = beside(
+        tmp_path, height="31 mm", practical="0.4 pp", files={"a.csv": "1" * 64},
         versions={"study": "2"}, virtual=True, truths={"a.csv": {"generator": {"truth": "ogden"}}},
     )  # fmt: skip
-    changed = {c.key: (c.kind, c.values) for c in compare(made(tmp_path), second).changes}
-    assert changed == {
+    assert {c.key: (c.kind, c.values) for c in found.changes} == {
         "specimen.height": ("design", ("30 mm", "31 mm")),
         "response.relative_rms_force_error.practical": ("design", ("0.5 pp", "0.4 pp")),
         "sha256 of a.csv": ("measurements", ("0" * 12, "1" * 12)),
@@ -111,17 +111,12 @@ def test_differing_inputs_are_listed(tmp_path):
         "truth of the specimens": ("truth", ("measured, not generated", "of virtual specimens")),
         "version of study": ("code", ("1", "2")),
     }
-
-
-def test_two_truths_are_compared_key_by_key(tmp_path):
-    def virtual(name, truth):
-        notes = {"a.csv": {"generator": {"truth": truth, "seed": 2011}}}
-        return made(tmp_path, name=name, virtual=True, truths=notes)
-
-    found = compare(virtual("first", "yeoh"), virtual("second", "ogden"))
-    assert [(c.key, c.values) for c in found.changes] == [
-        ("truth.generator.truth", ("yeoh", "ogden"))
-    ]
+    first, second = (
+        {"virtual": True, "truths": {"a.csv": {"generator": {"truth": truth, "seed": 2011}}}}
+        for truth in ("yeoh", "ogden")
+    )
+    (change,) = beside(tmp_path, first, **second).changes  # key by key
+    assert (change.key, change.values) == ("truth.generator.truth", ("yeoh", "ogden"))
 
 
 def test_truths_are_read_from_beside_the_measurements(tmp_path):
@@ -135,16 +130,12 @@ def test_truths_are_read_from_beside_the_measurements(tmp_path):
     [
         ({"response": "rms_force_error"}, r"(?s)no analyzed response.*rms_force_error.*share a \["),
         ({"rename": {"space": "plates", "material": "energy"}}, "with a factor in common"),
+        ({"name": "first"}, "same study"),
     ],
 )
-def test_nothing_in_common_is_refused_with_the_mend(tmp_path, other, said):
+def test_nothing_in_common_or_itself_is_refused_with_the_mend(tmp_path, other, said):
     with pytest.raises(InputError, match=said):
-        compare(made(tmp_path), made(tmp_path, name="second", **other))
-
-
-def test_a_study_beside_itself_is_refused(tmp_path):
-    with pytest.raises(InputError, match="same study"):
-        compare(made(tmp_path), made(tmp_path))
+        beside(tmp_path, **other)
 
 
 def test_studies_of_one_name_are_told_apart_by_their_folders(tmp_path):

@@ -69,16 +69,19 @@ def test_a_level_that_leaves_a_combination_empty_goes(design, lost, model, notes
     assert kept["y"].notna().all() or not notes
 
 
+def imported(folder, head, lines, factors, **asked):
+    """Study of a table of runs."""
+    (folder / "t.csv").write_text("\n".join([head, *lines]))
+    return api.import_runs(folder / "t.csv", factors, "y=N", results=folder / "results", **asked)
+
+
 def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path):
     """No run with level c has an answer."""
     cells = product(("a", "b", "c"), ("flat", "full"), range(3))
     lines = [
         f"{m},{s},{'' if m == 'c' else ord(m) - 90 + 0.1 * n + (s == 'full')}" for m, s, n in cells
     ]
-    (tmp_path / "t.csv").write_text("\n".join(["gel,plates,y", *lines]))
-    study = api.import_runs(
-        tmp_path / "t.csv", "gel,plates", "y=N", practical="y=1 N", results=tmp_path / "results"
-    )
+    study = imported(tmp_path, "gel,plates,y", lines, "gel,plates", practical="y=1 N")
     reported = study.analyses[0].result
     assert reported is not None, study.analyses[0].refused
     found = api.analyze(study.folder, "y")
@@ -87,22 +90,13 @@ def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path):
     assert found.effect("gel").range == pytest.approx(1.0)
 
 
-def test_a_study_of_imported_runs_says_with_which_option_a_size_is_given(tmp_path):
-    lines = [f"{m},{n},{ord(m) + 0.1 * n}" for m in "ab" for n in range(3)]
-    (tmp_path / "t.csv").write_text("\n".join(["gel,run,y", *lines]))
-    study = api.import_runs(tmp_path / "t.csv", ["gel"], ["y=N"], results=tmp_path / "results")
+@pytest.mark.usefixtures("undrawn")
+def test_blocks_of_imported_runs_have_the_name_of_their_column_and_a_size_its_option(tmp_path):
+    lines = [f"{m},s{n},{ord(m) + n + 0.1 * (n % 3) * (m == 'a')}" for m in "ab" for n in range(6)]
+    study = imported(tmp_path, "gel,donor,y", lines, ["gel"], block="donor")
     (sentence,) = (line for line in study.answers if "No smallest difference" in line)
     assert sentence.endswith("Give one with --practical.")
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_blocks_of_imported_runs_have_the_name_of_their_column(tmp_path):
-    lines = [f"{m},s{n},{ord(m) + n + 0.1 * (n % 3) * (m == 'a')}" for m in "ab" for n in range(6)]
-    (tmp_path / "t.csv").write_text("\n".join(["gel,donor,y", *lines]))
-    study = api.import_runs(
-        tmp_path / "t.csv", "gel", "y=N", block="donor", practical="y=0.5 N",
-        results=tmp_path / "results",
-    )  # fmt: skip
+    study = imported(tmp_path, "gel,donor,y", lines, "gel", block="donor", practical="y=0.5 N")
     page = both_pages(api.report(study.folder, reports=tmp_path, formats=["html"]).report)
     assert "Nothing speaks against equal effects in all donors" in page
     assert "6 (donor): s0" in page
@@ -154,17 +148,11 @@ def columns_of(records):
     rows = []
     for levels, pairs in found.items():
         sizes, values = zip(*sorted(pairs, reverse=True), strict=True)
-        if len(values) < 3:
-            rows.append(
-                NumericalUncertainty(dict(levels), NAME, None, None, "%", "not available", "")
-            )
-            continue
-        behaviour, u = CaseSeries((), 1.5, "finest").half_width(values, sizes, ORDER)
-        rows.append(
-            NumericalUncertainty(
-                dict(levels), NAME, values[-1], u, "%", behaviour, "", sizes, values, ORDER, "known"
-            )
-        )
+        known = (None, None, "%", "not available", "")
+        if len(values) == 3:
+            behaviour, u = CaseSeries((), 1.5, "finest").half_width(values, sizes, ORDER)
+            known = (values[-1], u, "%", behaviour, "", sizes, values, ORDER, "known")
+        rows.append(NumericalUncertainty(dict(levels), NAME, *known))
     return rows
 
 
@@ -195,13 +183,15 @@ def test_an_error_that_the_materials_share_is_none_of_their_difference(design):
     assert result.u_num_by_term
 
 
+def of_one_material(levels):
+    return 0.3 * (levels["material"] == "neo-hookean")
+
+
 def test_an_error_of_one_material_is_covered_but_not_tenfold(design):
     """Error d h^2 of one material: 1.25 d at the finest mesh, and the way there from the mean."""
-    d = 0.3
-    records = records_of(design, lambda levels: d * (levels["material"] == "neo-hookean"))
-    result, _ = analyzed(design, records)
+    result, _ = analyzed(design, records_of(design, of_one_material))
     # h/h_fine squared is 16, 4, 1 in one space and 5.0625, 2.25, 1 in the other
-    mean = d * (16 + 4 + 1 + 5.0625 + 2.25 + 1) / 6
+    mean = 0.3 * (16 + 4 + 1 + 5.0625 + 2.25 + 1) / 6
     effect = result.effect("material")
     assert effect.range == pytest.approx(4.0 + mean, abs=0.02)
     error = (effect.range or 0) - 4.0
@@ -238,9 +228,8 @@ def test_a_factor_is_judged_at_each_kind_of_element_with_the_bound_of_its_own_se
     assert pairs == {"not resolved by the mesh"}
 
 
-def test_an_error_of_one_space_counts_for_the_space_alone(design):
-    records = records_of(design, lambda levels: 1.0 * (levels["model.space"] == "3d"))
-    result, _ = analyzed(design, records)
+def test_an_error_of_one_space_counts_for_the_space_alone_and_one_of_a_pair_for_both(design):
+    result, _ = analyzed(design, records_of(design, lambda levels: levels["model.space"] == "3d"))
     off = (5.0625 + 2.25 + 1) / 3
     assert result.effect("model.space").range == pytest.approx(off, abs=0.01)
     # no space truly differs from the other: the effect must not count as resolved
@@ -249,22 +238,20 @@ def test_an_error_of_one_space_counts_for_the_space_alone(design):
     # a tenth of the bounds of the columns in 3D, half the cells on either side
     assert u_of(result, "material") < 0.15
 
-
-def test_an_error_of_one_combination_counts_for_the_interaction(design):
     def error(levels):
         return 0.5 * ((levels["material"], levels["model.space"]) == ("mooney-rivlin", "3d"))
 
-    result, _ = analyzed(design, records_of(design, error))
-    interaction = result.effect("material:model.space")
-    assert (interaction.range or 0) < u_of(result, "material:model.space")
+    pair, _ = analyzed(design, records_of(design, error))
+    term = "material:model.space"
+    assert (pair.effect(term).range or 0) < u_of(pair, term)
 
 
 def test_a_log_response_is_followed_on_the_log(design):
-    own = records_of(design, lambda levels: 0.3 * (levels["material"] == "neo-hookean"))
-    plain, _ = analyzed(design, own)
-    same = records_of(design, lambda levels: 0.3 * (levels["material"] == "neo-hookean"), "log")
-    log, _ = analyzed(design, same, "log")
-    # exp(y) on the log is y: the same effect, and the same times its uncertainty
+    """exp(y) on the log is y: the same effect, and the same times its uncertainty."""
+    plain, log = (
+        analyzed(design, records_of(design, of_one_material, transform), transform)[0]
+        for transform in ("none", "log")
+    )
     for term in ("material", "model.space"):
         mine, other = log.effect(term), plain.effect(term)
         assert math.log(mine.range or 1) == pytest.approx(other.range)

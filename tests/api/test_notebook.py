@@ -35,14 +35,14 @@ def home(tmp_path, monkeypatch):
 def test_a_problem_is_given_by_the_keys_of_its_file():
     found = study.solve(PROBLEM)
     assert found.curve.force_N == pytest.approx(FORCE, rel=1e-9)
-    texts = {**PROBLEM, "material": {**PROBLEM["material"], "C10": "10 kPa"}}
-    assert study.solve(texts).curve.force_N.tolist() == found.curve.force_N.tolist()
-    numpy = {**PROBLEM, "material": {**PROBLEM["material"], "C10": np.float64(0.01)}}
-    assert study.solve(numpy).curve.force_N.tolist() == found.curve.force_N.tolist()
-    resolved = loads_problem(from_tables(PROBLEM)).problem.document()
-    assert study.solve(resolved).curve.force_N.tolist() == found.curve.force_N.tolist()
-    made = loads_problem(from_tables(PROBLEM)).problem.at()
-    assert study.solve(made).curve.force_N.tolist() == found.curve.force_N.tolist()
+    loaded = loads_problem(from_tables(PROBLEM)).problem
+    for same in (
+        {**PROBLEM, "material": {**PROBLEM["material"], "C10": "10 kPa"}},
+        {**PROBLEM, "material": {**PROBLEM["material"], "C10": np.float64(0.01)}},
+        loaded.document(),
+        loaded.at(),
+    ):
+        assert study.solve(same).curve.force_N.tolist() == found.curve.force_N.tolist()
     twice = study.solve(PROBLEM, overrides=['material.C10="20 kPa"'])
     assert twice.curve.force_N == pytest.approx(2 * np.array(FORCE), rel=1e-9)
 

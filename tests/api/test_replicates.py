@@ -164,32 +164,29 @@ def test_several_specimens_come_before_noise_unless_asked(tmp_path):
 @pytest.fixture(scope="module")
 def meshed(tmp_path_factory):
     home = tmp_path_factory.mktemp("meshed")
-    study = api.run(
+    return api.run(
         loads(MESHES, "small.toml"), data=data(home / "data"), jobs=1,
         results=home / "results", reports=home / "reports", formats=("csv",),
     )  # fmt: skip
-    return home, study
 
 
 def test_mesh_seeds_are_the_error_and_the_bias_stands_beside(meshed):
-    _, study = meshed
-    result = study.analyses[0].result
-    assert result is not None, study.analyses[0].refused
+    result = meshed.analyses[0].result
+    assert result is not None, meshed.analyses[0].refused
     assert result.error_term.source == "E3"
     assert "would another mesh of this size change the effect?" in result.error_term.question
     assert any("bias of this mesh size is common to all seeds" in w for w in result.notes)
     # E4 beside it: an effect says how far it is above the numerical uncertainty; that of the mesh
     # itself has none, and where a cell diverges with refinement nothing bounds it
-    print([(effect.term, effect.u_num, effect.verdict) for effect in result.effects])
     known = {effect.term: effect.u_num for effect in result.effects}
     assert known["model.mesh_size"] == 0
     unbounded = [effect for effect in result.effects if effect.u_num is None]
     assert all(effect.verdict != "no practical difference" for effect in unbounded)
-    assert study.report is not None, study.warnings
+    assert meshed.report is not None, meshed.warnings
 
 
 def test_the_spread_over_meshes_falls_with_their_size(meshed):
-    frame = meshed[1].table
+    frame = meshed.table
     cells = ["model.element_order", "model.mesh_size"]
     assert frame.groupby(cells).size().tolist() == [5] * 4
     means = frame.groupby(cells)["peak_force_error"].transform("mean")
@@ -198,7 +195,7 @@ def test_the_spread_over_meshes_falls_with_their_size(meshed):
     # 16 other seeds showed 2.7 (linear, which weighs most here) and 1.8 (quadratic); a ratio of
     # two sd with 8 degrees of freedom each is known to 35 %
     assert 1.2 < sd["8 mm"] / sd["4 mm"] < 8
-    hashes = [record.mesh["hash"] for record in meshed[1].records]
+    hashes = [record.mesh["hash"] for record in meshed.records]
     assert len(set(hashes)) == len(hashes)
 
 

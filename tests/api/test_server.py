@@ -257,24 +257,15 @@ def test_a_hostile_study_is_answered_and_hides_no_other(server, home, kind):
 
 def test_a_page_looks_only_at_cases_that_are_there_and_reads_a_manifest_once(tmp_path, monkeypatch):
     planted(tmp_path / "results" / "many", "many")
-    looked = []
-    before = FileStamp.of
-    monkeypatch.setattr(FileStamp, "of", lambda path: looked.append(str(path)) or before(path))
-    read = []
-    monkeypatch.setattr(serving, "_read_study", _counted(serving._read_study, read))
+    looked, read = [], []
+    stamp, whole = FileStamp.of, serving._read_study
+    monkeypatch.setattr(FileStamp, "of", lambda path: looked.append(path) or stamp(path))
+    monkeypatch.setattr(serving, "_read_study", lambda path: read.append(path) or whole(path))
     folders = Folders(tmp_path / "results", tmp_path / "reports")
     for _ in range(3):
         (state,) = folders.states()
         assert state.cases == "0 of 200,000 done, 200,000 missing"
     assert (len(looked), len(read)) == (3, 1)
-
-
-def _counted(function, calls):
-    def counted(path):
-        calls.append(str(path))
-        return function(path)
-
-    return counted
 
 
 def test_records_are_read_some_at_a_time(home, monkeypatch):

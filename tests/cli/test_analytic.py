@@ -66,14 +66,14 @@ def rows(label, depth, force_mN):
     return [f"{label},{d:.6g},{f:.8g}" for d, f in zip(depth, force_mN, strict=True)]
 
 
-def of_garcia(chi):
-    """Sphere on a bonded incompressible layer (Garcia and Garcia 2018), within .15 % to .3."""
-    return 1 + 1.133 * chi + 1.497 * chi**2 + 1.469 * chi**3 + 0.755 * chi**4
-
-
 def sphere_mN(depth, height):
-    """Hertz's paraboloid of 5 mm, times what the layer adds, at 1 kPa."""
-    return 16 / 9 * 5**0.5 * depth**1.5 * of_garcia(np.sqrt(5 * depth) / height)
+    """Hertz's paraboloid of 5 mm at 1 kPa, times what the bonded incompressible layer adds.
+
+    That is known within .15 % to chi = .3 (Garcia and Garcia 2018).
+    """
+    chi = np.sqrt(5 * depth) / height
+    added = 1 + 1.133 * chi + 1.497 * chi**2 + 1.469 * chi**3 + 0.755 * chi**4
+    return 16 / 9 * 5**0.5 * depth**1.5 * added
 
 
 PROBLEM = """

@@ -16,8 +16,6 @@ from tests.cli.small import study, success
 from validation import fuzz
 from validation.fuzz_inputs import Place, tables
 
-pytestmark = pytest.mark.drawings
-
 TABLES = Path(__file__).parents[2] / "validation" / "statistics"
 BATTERY = ("--response", "life", "--factors", "material,temperature")
 
@@ -39,6 +37,7 @@ def records(folder, name):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.drawings
 def test_the_page_answers_first_and_shows_every_part(battery):
     first = (battery / "out" / "battery-life-life.html").read_text(encoding="utf-8")
     assert first.index('<section id="answer"') < first.index('<section id="effects"')
@@ -57,6 +56,7 @@ def test_the_page_answers_first_and_shows_every_part(battery):
         assert shown in page.replace("\N{NO-BREAK SPACE}", " "), shown
 
 
+@pytest.mark.drawings
 def test_pairs_are_tukeys_and_dunnetts(battery):
     """Montgomery's Tukey comparisons a second way: scipy's studentized range."""
     from scipy.stats import studentized_range
@@ -81,6 +81,7 @@ def test_pairs_are_tukeys_and_dunnetts(battery):
     assert 2.31 < point < 2.36
 
 
+@pytest.mark.drawings
 def test_coefficients_and_rows_are_those_of_least_squares(battery):
     """The standard error of a level's coefficient is s sqrt((k - 1) / N), by hand."""
     table = {r["term"]: r for r in records(battery, "table-coefficients.csv")}
@@ -101,6 +102,7 @@ def test_coefficients_and_rows_are_those_of_least_squares(battery):
         assert float(row["cook"]) == pytest.approx(e**2 / (9 * s**2) * 0.25 / 0.75**2, abs=1e-12)
 
 
+@pytest.mark.drawings
 def test_the_line_to_reproduce_works_when_pasted(battery):
     written = battery / "out" / "battery-life-life-details.html"
     page = written.read_text(encoding="utf-8")
@@ -115,6 +117,7 @@ def test_the_line_to_reproduce_works_when_pasted(battery):
     assert written.read_text(encoding="utf-8") == page
 
 
+@pytest.mark.drawings
 def test_json_names_the_page_and_other_formats_stand_beside(tmp_path):
     answer = success("analyze", TABLES / "penicillin.csv", "--response", "yield", "--factors",
                      "treatment", "--block", "blend", "--error", "pooled", "--report", tmp_path,
@@ -128,6 +131,7 @@ def test_json_names_the_page_and_other_formats_stand_beside(tmp_path):
     assert (tmp_path / f"{page.stem}-data" / "figure-yield-four-in-one.svg").is_file()
 
 
+@pytest.mark.drawings
 def test_blocks_have_residual_plots_too(tmp_path):
     """Where each effect has its own error no p rests on the residuals, yet they are shown."""
     success("analyze", TABLES / "blocked.csv", "--response", "y", "--factors", "a,b",
@@ -169,14 +173,7 @@ def test_a_result_shows_itself_in_a_notebook(tmp_path):
     assert found.warn("said").notes[-1] == "said"
 
 
-#: tables in the suite, and in `make verify`
-FEW = 30
-MANY = 10_000
 NOT_A_NUMBER = re.compile(r"(?<!\w)(nan|-?inf)(?!\w)", re.ASCII)
-
-
-def not_json(constant):
-    raise AssertionError(f"{constant} in JSON")
 
 
 def answered(seed, folder, monkeypatch):
@@ -191,23 +188,20 @@ def answered(seed, folder, monkeypatch):
     if answer.code > 1:
         assert not answer.out, seed
     elif "--json" in words:
-        json.loads(answer.out, parse_constant=not_json)
+        assert answer.json is not None  # a bare NaN is none
     else:
         assert not NOT_A_NUMBER.search(answer.out), seed
     return answer.code == 0
 
 
-def test_random_tables_are_answered_or_refused_in_words(tmp_path, monkeypatch):
-    good = sum(answered(seed, tmp_path, monkeypatch) for seed in range(FEW))
+LONG = pytest.param(range(30, 10_000), marks=[pytest.mark.slow, pytest.mark.verify])
+
+
+@pytest.mark.parametrize("seeds", [range(30), LONG])
+def test_random_tables_are_answered_or_refused_in_words(tmp_path, monkeypatch, seeds):
+    good = sum(answered(seed, tmp_path, monkeypatch) for seed in seeds)
     # tables that only were refused would show nothing of the analysis
-    assert good > FEW // 8
-
-
-@pytest.mark.slow
-@pytest.mark.verify
-def test_many_random_tables(tmp_path, monkeypatch):
-    good = sum(answered(seed, tmp_path, monkeypatch) for seed in range(FEW, MANY))
-    assert good > MANY // 8
+    assert good > len(seeds) // 8
 
 
 def test_rows_that_are_fitted_exactly_have_a_page(tmp_path):

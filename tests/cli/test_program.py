@@ -132,14 +132,6 @@ def typed(command):
     return study(*arguments)
 
 
-def completion(words):
-    """Environment in which a shell asks what follows these words; the last is not finished."""
-    return {
-        "_STUDY_COMPLETE": "complete_bash", "COMP_WORDS": words,
-        "COMP_CWORD": str(words.count(" ")),
-    }  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -156,11 +148,13 @@ def completion(words):
 def test_a_shell_completes_verbs_options_studies_designs_tables_and_cases(
     inside, monkeypatch, words, expected
 ):
+    """The last word is not finished."""
     for name in ("designs/disc.toml", "discs.csv", "notes.txt", "results/disc/cases/0a1b/x"):
         (inside / name).parent.mkdir(parents=True, exist_ok=True)
         (inside / name).touch()
-    for name, value in completion(words).items():
-        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("_STUDY_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
     out = io.StringIO()
     with redirect_stdout(out), pytest.raises(SystemExit):
         app(prog_name="study")

@@ -199,7 +199,9 @@ BONDED = (
 def test_finite_elements_in_processes(tmp_path):
     """The force is in proportion to C10, so that the fit is linear: s F over s^2 once more."""
     found = asked(tmp_path, BONDED)
-    solved = package.solve(_problem(tmp_path), overrides=["test.steps=20"]).curve
+    # the same problem without what only `require` knows
+    (tmp_path / "problem.toml").write_text(BONDED[: BONDED.index("[force]")])
+    solved = package.solve(tmp_path / "problem.toml", overrides=["test.steps=20"]).curve
     s = solved.force_gradient["C10"]
     known = {
         "force.zero": 0.02 * s.sum() / (s @ s) / C10_MPA,
@@ -214,13 +216,6 @@ def test_finite_elements_in_processes(tmp_path):
     for quantity in one["quantities"]:
         # a fit ends where its next step is a thousandth of the scatter
         assert quantity["ratio"] == pytest.approx(1.0, abs=1e-3)
-
-
-def _problem(folder):
-    """The same problem without what only `require` knows."""
-    path = folder / "problem.toml"
-    path.write_text(BONDED[: BONDED.index("[force]")])
-    return path
 
 
 def test_the_page_needs_no_network_and_shows_the_map(tmp_path):

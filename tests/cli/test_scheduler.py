@@ -59,12 +59,6 @@ while not pathlib.Path({str(tmp_path / "go")!r}).exists():
     return tmp_path
 
 
-def allowed(folder):
-    """Options that allow the programs of the study."""
-    plan = study("plan", folder / "small.toml", "--data", folder / "data", "--json").json
-    return "--allow-digest", plan["commands_digest"]
-
-
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "small.toml").write_text(FEM)
@@ -139,7 +133,9 @@ LONG = (pytest.mark.slow, pytest.mark.verify)
 @pytest.mark.parametrize("lost", ["scheduler", pytest.param("terminal", marks=LONG)])
 def test_a_study_that_is_stopped_keeps_what_is_finished_and_resumes(held, tmp_path, lost):
     """Where its scheduler is gone it goes on here; after Ctrl-C the cluster is there as before."""
-    cluster_folder, options = tmp_path / "cluster", allowed(held)
+    plan = study("plan", held / "small.toml", "--data", held / "data", "--json").json
+    options = ("--allow-digest", plan["commands_digest"])
+    cluster_folder = tmp_path / "cluster"
     cluster_folder.mkdir()
     again = ["run", held / "small.toml", "--data", held / "data", "--results", held / "results"]
     with loopback(cluster_folder, workers=2 if lost == "scheduler" else 1) as cluster:

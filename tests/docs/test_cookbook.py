@@ -10,10 +10,6 @@ DOCS = Path(__file__).parents[2] / "docs"
 COOKBOOK = json.loads((DOCS / "cookbook.ipynb").read_text(encoding="utf-8"))
 
 
-def code():
-    return ["".join(c["source"]) for c in COOKBOOK["cells"] if c["cell_type"] == "code"]
-
-
 def run_cell(text, names):
     """Run a cell as a notebook does: the value of a last expression is what it shows."""
     *body, last = ast.parse(text).body
@@ -42,8 +38,10 @@ def test_every_cell_runs_and_shows_what_it_ends_with(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = {}
     drawn = tables = 0
-    for text in code():
-        shown = run_cell(text, names)
+    for cell in COOKBOOK["cells"]:
+        if cell["cell_type"] != "code":
+            continue
+        shown = run_cell("".join(cell["source"]), names)
         if hasattr(shown, "_repr_svg_"):
             drawn += shown._repr_svg_().startswith("<svg")
         elif hasattr(shown, "_repr_html_"):

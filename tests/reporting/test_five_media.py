@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from study import analyze
-from tests.cli.small import study
-from tests.reporting.example import words_of
+from tests.cli.small import success
+from tests.reporting.example import data_alone, words_of
 
 TABLE = Path(__file__).parents[2] / "validation" / "statistics" / "battery_life.csv"
 ASKED = ("--response", "life", "--factors", "material,temperature", "--practical", "10")
@@ -26,11 +26,9 @@ def media(tmp_path_factory):
     """What each medium says of one analysis."""
     folder = tmp_path_factory.mktemp("media")
     files = ("--report", folder, "--format", "html,tex,csv")
-    shown, document = (
-        study("analyze", TABLE, *ASKED, *files),
-        study("analyze", TABLE, *ASKED, "--json"),
-    )
-    assert (shown.code, document.code) == (0, 0), shown.err + document.err
+    with data_alone():
+        shown = success("analyze", TABLE, *ASKED, *files)
+        document = success("analyze", TABLE, *ASKED, "--json")
     page = (folder / f"{STEM}-details.html").read_text("utf-8")
     result = analyze(TABLE, "life", ["material", "temperature"], practical="10")
     return {

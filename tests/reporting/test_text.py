@@ -36,10 +36,6 @@ from study.reporting.content.text import (
 from study.reporting.results.study_answers import Change
 
 
-def flat(text):
-    return text.replace("\N{NO-BREAK SPACE}", " ")
-
-
 def change(then, now):
     return Change("design", "k", (then, now)).sentence
 
@@ -144,7 +140,7 @@ def change(then, now):
     ],
 )
 def test_numbers_and_words(write, arguments, text):
-    assert flat(write(*arguments)) == text
+    assert write(*arguments).replace("\N{NO-BREAK SPACE}", " ") == text
 
 
 def test_decimals_are_those_of_a_thousandth_of_what_matters():

@@ -93,14 +93,29 @@ def test_categories_that_are_alike_learn_from_each_other():
 def test_left_out_runs_of_a_category_are_those_of_conditioning_without_them():
     runs = two_categories(15)
     for number, one in enumerate(fit_together(runs, (2,))):
-        process = one.process
         i = 15 * number + 3
-        rest = np.delete(np.arange(30), i)
-        without = condition(
-            process.x[rest], process.y[rest], process.noise[rest], process.hyperparameters
-        )
-        told = one.centre + one.scale * without.mean(process.x[i : i + 1])[0]
+        told = one.centre + one.scale * without(one.process, i).mean(one.process.x[i : i + 1])[0]
         assert one.loo_errors[3] == pytest.approx(runs[number].response[3] - told, rel=1e-6)
+
+
+def without(process, i):
+    """Condition on all runs but one."""
+    rest = np.delete(np.arange(process.y.size), i)
+    return condition(process.x[rest], process.y[rest], process.noise[rest], process.hyperparameters)
+
+
+def test_leave_one_out_is_what_conditioning_without_the_run_says():
+    x, y = standardized(30)
+    found = hyperparameters(THETA, "Matern 5/2")
+    process = condition(x, y, np.full(y.size, 1e-3), found)
+    for i in (0, 7, 29):
+        rest = without(process, i)
+        deviation = np.sqrt(
+            rest.deviation(x[i : i + 1])[0] ** 2 + 1e-3 + found.variance * found.nugget
+        )
+        error = y[i] - rest.mean(x[i : i + 1])[0]
+        assert process.loo_errors[i] == pytest.approx(error, rel=1e-7)
+        assert process.loo_deviations[i] == pytest.approx(deviation, rel=1e-7)
 
 
 def test_a_category_with_hardly_any_runs_is_refused():
@@ -132,22 +147,6 @@ def test_likelihood_and_prediction_are_those_of_scikit_learn(family):
         latent = np.sqrt(deviation**2 - found.variance * found.nugget)
         assert process.deviation(points) == pytest.approx(latent, rel=1e-4, abs=1e-4)
     assert steps[0] == pytest.approx(steps[1], abs=1e-4)
-
-
-def test_leave_one_out_is_what_conditioning_without_the_run_says():
-    x, y = standardized(30)
-    noise = np.full(y.size, 1e-3)
-    found = hyperparameters(THETA, "Matern 5/2")
-    process = condition(x, y, noise, found)
-    for i in (0, 7, 29):
-        rest = np.delete(np.arange(y.size), i)
-        without = condition(x[rest], y[rest], noise[rest], found)
-        own = noise[i] + found.variance * found.nugget
-        deviation = np.sqrt(without.deviation(x[i : i + 1])[0] ** 2 + own)
-        assert process.loo_errors[i] == pytest.approx(
-            y[i] - without.mean(x[i : i + 1])[0], rel=1e-7
-        )
-        assert process.loo_deviations[i] == pytest.approx(deviation, rel=1e-7)
 
 
 @pytest.mark.parametrize("sizes", [(), (2,)])

@@ -64,15 +64,37 @@ def test_constructed_surface_is_found_again(eigenvalues, kind):
 def test_deterministic_surface_has_no_p_and_counts_copies_once():
     coded = face_centred(2)
     response = np.exp(coded[:, 0]) + coded[:, 1]
-    once, copied = (
-        fit_quadratic(unit_runs(coded[rows], response[rows]))
-        for rows in (np.arange(9), np.r_[0:9, 8, 8])
-    )
+    once = fit_quadratic(unit_runs(coded, response))
+    again = np.r_[0:9, 8, 8]
+    copied = fit_quadratic(unit_runs(coded[again], response[again]))
     assert all(term.p is None and term.interval is None for term in copied.terms)
     assert copied.lack_of_fit is None
-    assert copied.terms == once.terms
-    assert copied.loo == once.loo
+    assert (copied.terms, copied.loo) == (once.terms, once.loo)
     assert "2 copies of deterministic runs count once" in copied.notes
+
+
+def test_copies_of_runs_and_of_blocks_count_once():
+    random = np.random.default_rng(4)
+    coded = np.vstack([face_centred(2), np.zeros((3, 2))])
+    once = random.normal(10.0, 1.0, len(coded))
+    single = fit_quadratic(unit_runs(coded, once))
+    copied = fit_quadratic(unit_runs(np.tile(coded, (4, 1)), np.tile(once, 4)))
+    assert (copied.terms, copied.loo) == (single.terms, single.loo)
+    assert copied.lack_of_fit == single.lack_of_fit
+    assert copied.notes[0] == "each run stands 4 times (12 distinct of 48): counts once"
+
+    def of_blocks(*blocks):
+        names = tuple(np.repeat(list("abcd")[: len(blocks)], len(coded)))
+        return fit_quadratic(unit_runs(np.tile(coded, (len(blocks), 1)), np.hstack(blocks), names))
+
+    # specimens of pure noise that differ by a shift alone: nothing is claimed
+    shifted = of_blocks(once, once + 2.0, once)
+    assert shifted.error == "none"
+    assert all(term.p is None for term in shifted.terms)
+    assert shifted.ranges(0.1) is None
+    assert shifted.notes[0] == "blocks that are equal but for a shift count once: b is a, c is a"
+    three = random.normal(10.0, 1.0, (3, len(coded)))
+    assert of_blocks(*three, three[0]).terms == of_blocks(*three).terms
 
 
 def test_leave_one_out_is_what_fitting_without_the_run_says():
@@ -318,39 +340,6 @@ def test_repeated_runs_confirm_by_their_mean_in_any_order():
         order = [0, *(i for i in range(1, 4) if i != last), last, 4]
         assert is_confirmed(unit_runs(coded, response[order]), 0, 1.0)
         assert not is_confirmed(unit_runs(coded, response[order]), 0, 1.2)
-
-
-@pytest.mark.parametrize("blocks", [False, True])
-def test_copies_of_runs_and_of_blocks_count_once(blocks):
-    random = np.random.default_rng(4)
-    coded = np.vstack([face_centred(2), np.zeros((3, 2))])
-    once = random.normal(10.0, 1.0, len(coded))
-    if not blocks:
-        single = fit_quadratic(unit_runs(coded, once))
-        copied = fit_quadratic(unit_runs(np.tile(coded, (4, 1)), np.tile(once, 4)))
-        assert copied.terms == single.terms
-        assert copied.loo == single.loo
-        assert copied.lack_of_fit == single.lack_of_fit
-        assert copied.notes[0] == "each run stands 4 times (12 distinct of 48): counts once"
-        return
-    # three specimens of pure noise that differ by a shift alone: nothing is claimed
-    names = tuple(np.repeat(["a", "b", "c"], len(coded)))
-    shifted = np.concatenate([once, once + 2.0, once])
-    copied = fit_quadratic(unit_runs(np.tile(coded, (3, 1)), shifted, names))
-    assert copied.error == "none"
-    assert all(term.p is None for term in copied.terms)
-    assert copied.ranges(0.1) is None
-    assert copied.notes[0] == "blocks that are equal but for a shift count once: b is a, c is a"
-
-
-def test_a_copied_block_narrows_nothing():
-    random = np.random.default_rng(4)
-    coded = face_centred(2)
-    three = random.normal(10.0, 1.0, (3, len(coded)))
-    names = tuple(np.repeat(["a", "b", "c", "d"], len(coded)))
-    copied = unit_runs(np.tile(coded, (4, 1)), np.append(three, three[:1]), names)
-    single = unit_runs(np.tile(coded, (3, 1)), three.ravel(), names[: three.size])
-    assert fit_quadratic(copied).terms == fit_quadratic(single).terms
 
 
 def test_a_constant_response_has_no_surface():

@@ -47,19 +47,16 @@ def test_every_kind_of_problem_is_drawn(problems):
 
 
 def test_problems_are_wide_and_within_their_ranges(problems):
-    ratio = np.array([_half(p) / p.specimen.height_mm for p in problems])
-    depth = np.array([p.test.displacement_mm / p.specimen.height_mm for p in problems])
+    height = np.array([p.specimen.height_mm for p in problems])
+    bodies = [p.specimen for p in problems]
+    half = [b.radius_mm if isinstance(b, Cylinder) else b.width_mm / 2 for b in bodies]
+    ratio, depth = half / height, np.array([p.test.displacement_mm for p in problems]) / height
     nu = np.array([p.material.poisson_ratio for p in problems])
     for values, low, high in ((ratio, 0.2, 5.0), (depth, 0.05, 0.5), (nu, 0.45, 0.4999)):
         # three digits of a size move a ratio by a hundredth of itself
         assert 0.98 * low <= values.min()
         assert values.max() <= 1.02 * high
         assert np.ptp(values) > 0.7 * (high - low)
-
-
-def _half(problem):
-    body = problem.specimen
-    return body.radius_mm if isinstance(body, Cylinder) else body.width_mm / 2
 
 
 def test_references_are_finer_quadratic_and_affordable(problems):
