@@ -58,7 +58,9 @@ class RigidMotion(Keyed):
     @property
     def angle_deg(self) -> float:
         """Angle of the rotation, 0 to 180 deg."""
-        return float(np.degrees(np.linalg.norm(rotation_vector(self.rotation))))
+        from scipy.spatial.transform import Rotation
+
+        return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
 
 
 def identity() -> RigidMotion:
@@ -71,13 +73,6 @@ def rotation_of(vector: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
-
-
-def rotation_vector(rotation: Array) -> Array:
-    """Axis of a rotation times its angle in rad, shape (3,). Shapes: rotation (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 def turned_about(center: Array, vector: Array, shift: Array) -> RigidMotion:

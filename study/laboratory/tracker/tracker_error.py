@@ -52,8 +52,8 @@ from study.laboratory.tracker.tracker_recording import (
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A scale this far from 1 is another unit, not an error of a tracker.
-DISPLACEMENT_UNIT_RATIO = 5.0
+#: A scale, or a distance over its standard, this far from 1 is another unit, not an error.
+UNIT_RATIO = 5.0
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def analyze_displacement(
     steps = (commanded_mm - commanded_mm[0])[~at_home]
     line = deming_line(steps, measured, _ratio(declared, repeat, steps, measured), alpha,
                        "displacement")  # fmt: skip
-    if not 1 / DISPLACEMENT_UNIT_RATIO < line.scale < DISPLACEMENT_UNIT_RATIO:
+    if not 1 / UNIT_RATIO < line.scale < UNIT_RATIO:
         rule = f"measured is {line.scale:.4g} times commanded displacement: another unit"
         mend = "compare [recording] unit and [displacement] unit"
         raise InputError(Fault("displacement.unit", rule, mend))
@@ -165,8 +165,6 @@ def _ratio(
 # Distance between two markers on one rigid body: what changes in it is the tracker's error. A
 # visit counts as one observation, for its samples share most of their errors.
 
-#: A distance this far from its standard is in another unit, not wrong by an error.
-UNIT_RATIO = 5.0
 #: Fewest visits, or blocks of samples, over which a drift is judged.
 FEWEST_FOR_DRIFT = 6
 #: Blocks into which a recording without visits is cut for its drift.

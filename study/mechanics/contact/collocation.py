@@ -184,17 +184,18 @@ def _collocation(
         radius = np.einsum("qa,ea->eq", N, ends[:, :, 0])
         weights = 2 * np.pi * radius * length[:, None] / 2
         return np.repeat(facets, 2, axis=0), np.tile(N, (len(facets), 1)), weights.ravel()
-    share = {
-        (2, 2): None,  # consistent with the radius, below
-        (2, 3): None,
-        (3, 3): np.full(3, 1 / 3),
-        (3, 4): np.full(4, 1 / 4),
-        (3, 6): np.array([1, 1, 1, 3, 3, 3]) / 12,
-        (3, 9): np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
-    }[(space.dim, k)]
-    if share is None:
-        share = _ring_shares(space.nodes[facets][:, :, 0])
+    # of an edge, consistent with the radius
+    share = _ring_shares(space.nodes[facets][:, :, 0]) if space.dim == 2 else _SHARES[k]
     return _at_nodes(_nodal_areas(space, facets, areas[:, None] * share))
+
+
+#: part of the area of a facet in 3D that each of its nodes stands for
+_SHARES = {
+    3: np.full(3, 1 / 3),
+    4: np.full(4, 1 / 4),
+    6: np.array([1, 1, 1, 3, 3, 3]) / 12,
+    9: np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
+}
 
 
 def _ring_shares(r: Array) -> Array:

@@ -130,20 +130,19 @@ class ContactPoints:
 
     def meet(self, nodes: Array, u: Array, displacement_mm: float) -> Meeting:
         """Where the points are at displacements ``u`` (n_nodes, dim), as seen by the surface."""
-        reference, moved = self.interpolated(nodes), self.interpolated(u)
-        if self.small_strain:
-            gap, normal = self.surface.reference_gap(reference, moved, displacement_mm)
-            hessian = np.zeros((self.size, reference.shape[1], reference.shape[1]))
-        else:
-            gap, normal, hessian = self.surface.gap(reference + moved, displacement_mm)
+        places = self.interpolated(nodes), self.interpolated(u)
+        gap, normal, hessian = self.seen(*places, displacement_mm)
         direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
         return Meeting(gap + self.allowance_mm, direction, hessian)
 
-    def distance(self, reference: Array, moved: Array, displacement_mm: float) -> Array:
-        """Gap of points, shape (n,), from reference positions and displacements (n, dim)."""
-        if self.small_strain:
-            return self.surface.reference_gap(reference, moved, displacement_mm)[0]
-        return self.surface.gap(reference + moved, displacement_mm)[0]
+    def seen(
+        self, reference: Array, moved: Array, displacement_mm: float
+    ) -> tuple[Array, Array, Array]:
+        """Gap, normal and Hessian of points from reference positions and displacements."""
+        if not self.small_strain:
+            return self.surface.gap(reference + moved, displacement_mm)
+        gap, normal = self.surface.reference_gap(reference, moved, displacement_mm)
+        return gap, normal, np.zeros((*reference.shape, reference.shape[1]))
 
     def evaluate(
         self, met: Meeting, multiplier: Array, closed: Flags | None = None, glue: Glue | None = None
@@ -470,11 +469,8 @@ def face_motions(space: Nodes, nodes: Ints) -> Array:
     dim, places = space.dim, space.nodes[nodes]
     motions = np.zeros((len(nodes), dim, BESIDES))
     motions[:, : dim - 1, 5] = places[:, : dim - 1]
-    if dim == 3:
-        x, y = places[:, 0], places[:, 1]
-        motions[:, 0, 0] = motions[:, 1, 1] = 1.0
-        motions[:, 2, 2], motions[:, 2, 3] = y, -x
-        motions[:, 0, 4], motions[:, 1, 4] = -y, x
+    if dim == 3:  # turned about its own plane
+        motions[:, :, :5] = rigid_motions(places * [1.0, 1.0, 0.0])[:, :, [0, 1, 3, 4, 5]]
     return motions
 
 
@@ -483,22 +479,21 @@ _HELD = 1e-6
 
 
 def rigid_motions(places: Array) -> Array:
-    """List translations and rotations about the middle of some points, shape (3 n, 6)."""
+    """Displacements by a unit of each translation and rotation about the origin, (n, 3, 6)."""
     # Shapes: places (n, 3), mm.
-    middle = (places.min(axis=0) + places.max(axis=0)) / 2
-    x, y, z = (places - middle).T / float(np.ptp(places, axis=0).max())
-    zero = np.zeros(len(places))
+    x, y, z = places.T
     motions = np.zeros((len(places), 3, 6))
     motions[:, :, :3] = np.eye(3)
-    motions[:, :, 3] = np.column_stack([zero, -z, y])
-    motions[:, :, 4] = np.column_stack([z, zero, -x])
-    motions[:, :, 5] = np.column_stack([-y, x, zero])
-    return motions.reshape(-1, 6)
+    motions[:, 1, 3], motions[:, 2, 3] = -z, y
+    motions[:, 0, 4], motions[:, 2, 4] = z, -x
+    motions[:, 0, 5], motions[:, 1, 5] = -y, x
+    return motions
 
 
 def pins(places: Array, n_free: int, held: Mapping[int, float]) -> Ints:
     """Unknowns that have to be held besides those that are. Shapes: places (n_nodes, 3)."""
-    motions = rigid_motions(places)
+    middle, extent = (places.min(axis=0) + places.max(axis=0)) / 2, np.ptp(places, axis=0).max()
+    motions = rigid_motions((places - middle) / float(extent)).reshape(-1, 6)
     rows = motions[sorted(held)]
     values, directions = np.linalg.eigh(rows.T @ rows) if held else (np.zeros(6), np.eye(6))
     free = directions[:, values < _HELD**2 * max(float(values.max(initial=0.0)), 1.0)]

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,16 +31,17 @@ from study.mechanics.setup.setup import Model
 _SAME = 1e-9
 
 
-class Nodes(Protocol):
+@dataclass(frozen=True)
+class Nodes:
     """Places that boundary conditions are laid on."""
 
-    @property
-    def nodes(self) -> Array:
-        """Reference positions, shape (n_nodes, dim)."""
+    #: shape (n_nodes, dim); reference positions; a bubble sits at its element's centroid.
+    nodes: Array
 
     @property
     def dim(self) -> int:
         """Number of displacement components."""
+        return int(self.nodes.shape[1])
 
 
 def at_level(space: Nodes, mesh: Mesh, level: float) -> Ints:
@@ -89,11 +90,9 @@ _STRETCHED_RULES = {("3d", "quadratic", "simplex"): 5}
 
 
 @dataclass(frozen=True)
-class Discretization:
+class Discretization(Nodes):
     """Everything that the element loops need, computed once per mesh."""
 
-    #: shape (n_nodes, dim); reference positions; a bubble sits at its element's centroid.
-    nodes: Array
     #: shape (n_elements, n_local); nodes of each element.
     element_nodes: Ints
     #: shape (n_elements, m); unknowns of each element: displacements node by node, then pressures.
@@ -110,11 +109,6 @@ class Discretization:
     #: shape (n_facets,); area of each boundary facet in mm^2 (2 pi r times length in axisymmetric
     #: space).
     facet_weights: Array
-
-    @property
-    def dim(self) -> int:
-        """Number of displacement components."""
-        return int(self.nodes.shape[1])
 
     @property
     def shapes(self) -> Shapes:

@@ -161,12 +161,6 @@ def _check_height(height: float, d: Array, sense: float) -> None:
         raise InputError(Fault("test.displacement", rule, "measure or press less deep"))
 
 
-def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
-    """Force of a cylinder or block compressed between frictionless plates."""
-    # Shapes: displacement_mm (n,); returns MPa.
-    return homogeneous(specimen, material, displacement_mm)
-
-
 def neo_hookean_start(
     setup: Setup, volume: Compressibility, displacement_mm: Array, force_N: Array
 ) -> dict[str, float]:
@@ -213,7 +207,7 @@ def _force_per_C10(setup: Setup, volume: Compressibility, d: Array) -> Array:  #
     if height is None or d.max(initial=0.0) >= height:
         return force
     # an indenter as wide as the specimen is a plate, and none needs more force than that
-    return np.minimum(force, compression(setup.specimen, unit, d).force_N)
+    return np.minimum(force, homogeneous(setup.specimen, unit, d).force_N)
 
 
 def solution(problem: Problem) -> Solution:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -185,8 +185,7 @@ def correction(layer: Layer, radius_mm: float, depth_mm: Array) -> Array:
 _POINTS = 48
 
 
-@dataclass(frozen=True)
-class ContactCondition:
+class ContactCondition(NamedTuple):
     """One contact of a given radius."""
 
     #: Depth at which the radius is reached; 0 on the face of a flat punch.
@@ -299,8 +298,7 @@ def force_law(
     if isinstance(indenter, Flat) and indenter.is_sharp_edged:
         depth, stiffness = deepest_mm * np.array([1e-3, 1.0]), np.full(2, states[0].stiffness_mm)
         return ContactForceLaw(depth, stiffness * depth, stiffness, np.full(2, indenter.radius_mm))
-    columns = ([s.depth_mm, s.force_mm2, s.stiffness_mm] for s in states)
-    depth, force, stiffness = np.array(list(columns)).T
+    depth, force, stiffness = np.array(states).T
     return ContactForceLaw(depth, force, stiffness, radii)
 
 

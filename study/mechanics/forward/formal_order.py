@@ -52,12 +52,12 @@ def formal_order(problem: Problem) -> FormalOrder:
     smooth = 2.0 * _DEGREE[problem.model.element_order]
     degree = problem.model.element_order
     singularities = problem.setup.kind.singularities(problem.test)
-    singular = [_limit(problem, singularity) for singularity in singularities]
+    # of two equal limits the first counts: the problem's says more
+    limits = [_limit(problem, singularity) for singularity in singularities]
     if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
-        singular.append((2.0, "the cylinder's straight-sided elements"))
+        limits.append((2.0, "the cylinder's straight-sided elements"))
     if isinstance(problem.specimen, Enclosed):
-        singular.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
-    limits = singular  # first: of two equal limits the problem's says more
+        limits.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
     limits.append((smooth, f"{degree} elements: twice the order of their gradient"))
     order, why = min(limits, key=lambda item: item[0])
     return FormalOrder(order, why)

@@ -31,7 +31,9 @@ from study.mechanics.mesh.structured import (
     quarter_circle,
     quarter_disc_of_quadrilaterals,
     rectangle,
+    ringed,
     spread,
+    strips,
 )
 from study.mechanics.setup.geometry import Block, Cylinder, Specimen
 from study.mechanics.setup.setup import Setup
@@ -104,10 +106,8 @@ def _rings(specimen: Cylinder | Block, field: SizeField, depth: Array) -> tuple[
     ray = quarter_circle(1.0, np.linspace(0, np.pi / 2, 2 * n + 1))
     # 0 on the axes, 1 at the corner of a square
     corner = (1 / ray.max(axis=1) - 1) / (np.sqrt(2) - 1)
-    core, sides = (
-        np.asarray(CORE * ring * (1 + (BULGE - 1) * corner)[:, None] * ray),
-        _sides(specimen, ray),
-    )
+    core = np.asarray(CORE * ring * (1 + (BULGE - 1) * corner)[:, None] * ray)
+    sides = _sides(specimen, ray)
     inner = _rays(ring - np.hypot(*core.T), lambda s: inward(field).at(ring - s, field.top_mm))
     lengths = np.hypot(*sides.T) - ring
     straight = _rays(lengths, partial(_beside, field, 0.0))
@@ -176,24 +176,14 @@ def _filled(border: Array) -> Array:
 
 def _quadrilaterals(side: int, rings: int, beyond: Array) -> Ints:
     """Corners: of the middle block with ``side`` points, of the rings, and of what is beyond."""
-    _, quads = rectangle(np.arange(float(side)), np.arange(float(side)), "tensor")
-    index = np.arange(side**2).reshape(side, side)
-    border = np.concatenate([index[:, -1], index[-1, -2::-1]])
-    new = index.size + np.arange(rings * border.size).reshape(rings, -1)
-    cells = [quads, _strips(np.vstack([border, new]))]
+    cells = [*ringed(side, rings)]
     if len(beyond):
-        along_x = beyond[0, 0, 1] == 0
-        last = new[-1, :side] if along_x else new[-1, side - 1 :]
-        lines = new.max() + 1 + np.arange(len(beyond) * side).reshape(-1, side)
-        cells.append(_strips(np.vstack([last, lines])))
+        count = side**2 + rings * (2 * side - 1)
+        last = np.arange(count - 2 * side + 1, count)
+        last = last[:side] if beyond[0, 0, 1] == 0 else last[side - 1 :]  # along x, else y
+        lines = count + np.arange(len(beyond) * side).reshape(-1, side)
+        cells.append(strips(np.vstack([last, lines])))
     return np.vstack(cells)
-
-
-def _strips(number: Ints) -> Ints:
-    """Quadrilaterals between numbered lines of points, each further out than the last."""
-    near, far = number[:-1], number[1:]
-    cells = [near[:, :-1], far[:, :-1], far[:, 1:], near[:, 1:]]
-    return np.stack(cells, axis=-1).reshape(-1, 4)
 
 
 def _depths(plane: Array, depth: Array, field: SizeField) -> Array:
@@ -269,16 +259,7 @@ def sizes_of(setup: Setup) -> SizeField:
 def _grid(setup: Setup, field: SizeField) -> tuple[Array, Ints]:
     """Quadrilaterals or hexahedra on lines that follow the sizes along the top and the axis."""
     (specimen, contact), space = _indented(setup), setup.model.space
-    pointed, ring = contact.indenter.is_pointed, contact.indenter.face_radius_mm
-    wide, tall = UNDER_CONE[setup.model.element_order] if pointed else (1.0, 1.0)
-    top = np.array([field.top_mm])
-
-    def along_top(rho: Array) -> Array:
-        return wide * field.at(rho, top)
-
-    def along_axis(depth: Array) -> Array:
-        return tall * field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
-
+    ring, (along_top, along_axis) = contact.indenter.face_radius_mm, grid_sizes(setup, field)
     if field.even and 0 < ring < equivalent_radius(specimen):  # in a plane: see size_field
         r = line_about(equivalent_radius(specimen), along_top, ring)
         depth = line_from(field.top_mm, along_axis)
@@ -292,6 +273,22 @@ def _grid(setup: Setup, field: SizeField) -> tuple[Array, Ints]:
         return extrude(*rectangle(x, y, "tensor"), z)
     lines = line_by_size(specimen.radius_mm, along_top, ring)
     return extrude(*quarter_disc_of_quadrilaterals(lines), z)
+
+
+def grid_sizes(setup: Setup, field: SizeField) -> tuple[Size, Size]:
+    """Sizes of a grid along the top, and along the axis by the depth."""
+    contact = _indented(setup)[1]
+    wide, tall = (
+        UNDER_CONE[setup.model.element_order] if contact.indenter.is_pointed else (1.0, 1.0)
+    )
+
+    def along_top(rho: Array) -> Array:
+        return wide * field.at(rho, field.top_mm)
+
+    def along_axis(depth: Array) -> Array:
+        return tall * _below(field, field.ring_mm, depth)
+
+    return along_top, along_axis
 
 
 def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
@@ -354,14 +351,12 @@ def generated(gmsh: ModuleType, dim: int) -> tuple[Array, Ints]:
         raise MeshError(
             f"an element is too flat (quality {poorest:.2g}): change mesh_size a little"
         )
-    number = np.zeros(int(max(tags)) + 1, dtype=np.int64)
-    cells = np.asarray(corners, dtype=np.int64).reshape(-1, dim + 1)
-    used = np.unique(cells)  # nodes of embedded construction points may belong to no cell
-    number[used] = np.arange(used.size)
+    # nodes of embedded construction points may belong to no cell
+    used, cells = np.unique(np.asarray(corners, dtype=np.int64), return_inverse=True)
     order = np.argsort(tags)
     index = np.searchsorted(np.asarray(tags)[order], used)
     points = np.asarray(coordinates).reshape(-1, 3)[order][index]
-    return points, number[cells]
+    return points, cells.reshape(-1, dim + 1)
 
 
 def _triangles(radius: float, height: float, field: SizeField, ring: float) -> tuple[Array, Ints]:

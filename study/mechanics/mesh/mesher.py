@@ -17,7 +17,6 @@ from study.ground.errors import MeshError
 from study.mechanics.mesh.graded import indentation_mesh, sizes_of
 from study.mechanics.mesh.solid import surface_mesh, surface_mesh_size
 from study.mechanics.mesh.structured import (
-    KINDS,
     Mesh,
     cross_section,
     edges_and_facets,
@@ -132,25 +131,19 @@ _LEAST_SHARE = 0.3
 _TRIES = 12
 #: out of the plane of a facet, over the size of the specimen
 _FLAT = 1e-9
-#: by (dimension, vertices): for every corner the vertex and its neighbors
-_CORNERS: dict[tuple[int, int], list[tuple[int, ...]]] = {
-    (2, 3): [(0, 1, 2)],
-    (2, 4): [(0, 1, 3), (1, 2, 0), (2, 3, 1), (3, 0, 2)],
-    (3, 4): [(0, 1, 2, 3)],
-    (3, 8): [(0, 1, 3, 4), (1, 2, 0, 5), (2, 3, 1, 6), (3, 0, 2, 7), (4, 7, 5, 0), (5, 4, 6, 1),
-             (6, 5, 7, 2), (7, 6, 4, 3)],
+#: for every corner of a cell the vertex and its neighbors
+_CORNERS: dict[str, list[tuple[int, ...]]] = {
+    "triangle": [(0, 1, 2)],
+    "quad": [(0, 1, 3), (1, 2, 0), (2, 3, 1), (3, 0, 2)],
+    "tetra": [(0, 1, 2, 3)],
+    "hexahedron": [(0, 1, 3, 4), (1, 2, 0, 5), (2, 3, 1, 6), (3, 0, 2, 7), (4, 7, 5, 0),
+                   (5, 4, 6, 1), (6, 5, 7, 2), (7, 6, 4, 3)],
 }  # fmt: skip
-
-
-def _kind(mesh: Mesh) -> tuple[int, int]:
-    return mesh.points.shape[1], mesh.cells.shape[1]
 
 
 def _steps_allowed(mesh: Mesh) -> tuple[Ints, Ints]:
     """Pairs of a node and a neighbor that it may step towards, sorted by node."""
-    edges = np.vstack(
-        [mesh.cells[:, list(edge)] for edge in edges_and_facets(KINDS[_kind(mesh)])[0]]
-    )
+    edges = np.vstack([mesh.cells[:, list(edge)] for edge in edges_and_facets(mesh.kind)[0]])
     pairs = np.unique(np.vstack([edges, edges[:, ::-1]]), axis=0)
     corner, normal = _boundary_normals(mesh)
     first, last = (np.searchsorted(pairs[:, 0], corner, side) for side in ("left", "right"))
@@ -167,7 +160,7 @@ def _steps_allowed(mesh: Mesh) -> tuple[Ints, Ints]:
 
 def _boundary_normals(mesh: Mesh) -> tuple[Ints, Array]:
     """Nodes of boundary facets and the facets' unit normals, one row for each pair of them."""
-    parts = edges_and_facets(KINDS[_kind(mesh)])[1]
+    parts = edges_and_facets(mesh.kind)[1]
     facets = np.vstack([mesh.cells[:, list(facet)] for facet in parts])
     _, first, count = np.unique(
         np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True
@@ -215,7 +208,7 @@ def _tamed(mesh: Mesh, moved: Array) -> Array:
 def _volumes(mesh: Mesh, points: Array) -> Array:
     """Signed volume (times a constant) at the corners of elements, shape (corners, n_cells)."""
     volumes = []
-    for vertex, *others in _CORNERS[_kind(mesh)]:
+    for vertex, *others in _CORNERS[mesh.kind]:
         origin = points[mesh.cells[:, vertex]]
         volumes.append(np.linalg.det(points[mesh.cells[:, others]] - origin[:, None]))
     return np.array(volumes)

@@ -300,8 +300,6 @@ class TestKind(ABC):
         Whether a test of this kind needs an indenter.
     compresses : bool
         Whether two plates shorten the specimen along its axis, and do nothing else.
-    shears : bool
-        Whether it is a simple shear, which may be preceded by a stretch.
     strains_locally : bool
         Whether single places are stretched several times: elements are stabilized there.
     sense : float
@@ -316,11 +314,15 @@ class TestKind(ABC):
 
     takes_indenter: bool = False
     compresses: bool = False
-    shears: bool = False
     strains_locally: bool = False
     sense: float = -1.0
     mode: str = "uniaxial"
     needs_homogeneous: bool = False
+
+    @property
+    def shears(self) -> bool:
+        """Whether it is a simple shear, which may be preceded by a stretch."""
+        return self.mode == "simple-shear"
 
     def usual_base(self, interface: Interface) -> Interface:
         """Condition of the base where a file leaves it out: fixed to what it lies on."""
@@ -638,7 +640,7 @@ TEST_KINDS: dict[str, TestKind] = {
     "equibiaxial": GaugeSection(mode="equibiaxial"),
     "planar": GaugeSection(mode="planar"),
     "biaxial": GaugeSection(mode="biaxial"),
-    "simple-shear": GaugeSection(mode="simple-shear", shears=True),
+    "simple-shear": GaugeSection(mode="simple-shear"),
     "volumetric": GaugeSection(mode="volumetric", sense=-1.0),
     "confined-compression": GaugeSection(mode="confined", sense=-1.0),
 }

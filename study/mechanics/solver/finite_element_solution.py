@@ -27,7 +27,7 @@ from study.mechanics.material.stability import stability, stable_in
 from study.mechanics.mesh.graded import turned
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.solid import surface_faults
-from study.mechanics.mesh.structured import KINDS, MIDDLES, QUADRATIC, Mesh, mirror
+from study.mechanics.mesh.structured import MIDDLES, QUADRATIC, Mesh, mirror
 from study.mechanics.setup.geometry import Enclosed, Surface
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.solver.equilibrium import (
@@ -410,7 +410,7 @@ def fields(solution: Solution, step: int = -1) -> Fields:
     # simplices have a positive volume in VTK; grids have it already
     simplex = mesh.cells.shape[1] == space.dim + 1
     upright = turned(mesh.points, mesh.cells.copy()) if simplex else mesh.cells
-    kind, cells = _cells(space, upright)
+    kind, cells = _cells(space, mesh.kind, upright)
     used = np.unique(cells)  # bubbles belong to no corner and no side
     F = deformation_gradient(space, system.displacements(state.x))
     # the volume that a linear body sees
@@ -559,18 +559,15 @@ def cauchy_stress(
     small = system.material.small_strain
     stress = nominal if small else np.einsum("ij...,kj...->ik...", nominal, F) / J
     eye = np.eye(3)[:, :, None, None]
-    mean = space.pressures(state.x) + system.internal.pointwise_bulk(system.material) * (J - 1)
+    mean = space.pressures(state.x) + system.internal.split(system.material).local * (J - 1)
     return np.asarray(stress + (mean - np.trace(stress) / 3) * eye)
 
 
-def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:
+def _cells(space: Discretization, linear: str, corners: Ints) -> tuple[str, Ints]:
     """Type and nodes of the cells, the further nodes found by where they lie."""
-    dim, n = space.dim, corners.shape[1]
-    local = int(space.element_nodes.shape[1])
-    linear, kind = KINDS[(dim, n)], QUADRATIC[KINDS[(dim, n)]]
-    if local < n + len(MIDDLES[kind]):  # bubbles are not drawn
+    kind, nodes = QUADRATIC[linear], space.element_nodes
+    if nodes.shape[1] < corners.shape[1] + len(MIDDLES[kind]):  # bubbles are not drawn
         return linear, corners
-    nodes = space.element_nodes
     rest = nodes[~(nodes[:, :, None] == corners[:, None, :]).any(axis=2)].reshape(len(nodes), -1)
     middles = [middle_nodes(space, rest, corners[:, list(middle)]) for middle in MIDDLES[kind]]
     return kind, np.column_stack([corners, *middles])

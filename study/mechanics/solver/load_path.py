@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -170,6 +170,9 @@ class LoadPath:
         warm: Solution | None,
     ) -> None:
         self.system, self.problem, self.options = system, problem, options
+        self._whole_mm = problem.test.depth_mm
+        #: share of the stored energy above which something has jumped
+        self._share = STICKING_JUMP_SHARE if system.sticks else JUMP_SHARE
         self.gradients_of = problem.material.names if gradients else ()
         self.warm = warm.warm if warm is not None else None
         steps = () if self.warm is None else self.warm.steps
@@ -203,7 +206,7 @@ class LoadPath:
         for target in self._targets():
             if not self._advance(target, _LOAD_PATH_HALVINGS):
                 break
-            self.progress(target / self.problem.test.depth_mm)
+            self.progress(target / self._whole_mm)
         self._end_at_a_collapse()
         error, fills = self.options.curve_error, not (self._follows or self.system.sticks)
         if error and fills and self._complete:
@@ -293,8 +296,11 @@ class LoadPath:
         )
         del self.steps[first:]
         self.snaps = [mm for mm in self.snaps if mm < reached[first - 1]]
-        self.reason, self.state = self.collapse, self.steps[-1].state
-        self.J = self.system.volume_ratios(self.state.x)
+        self._end_at(self.steps[-1].state, self.collapse)
+
+    def _end_at(self, state: State, reason: str) -> None:
+        """Take a state for the last one, and say why."""
+        self.state, self.reason, self.J = state, reason, self.system.volume_ratios(state.x)
         self.min_j = float(self.J.min())
 
     def _look_back(self) -> None:
@@ -313,7 +319,11 @@ class LoadPath:
             self._refuse(last, *mode)
 
     def _refuse(
-        self, unstable: State, system: System, sway: str = "", parity: tuple[int, ...] = (1, 1, 1)
+        self,
+        unstable: State,
+        system: System,
+        sway: str | None = None,
+        parity: tuple[int, ...] = (1, 1, 1),
     ) -> None:
         """Go back to the last stable step, by bisection, and say where stability was lost."""
         place_mm = unstable.displacement_mm
@@ -338,9 +348,7 @@ class LoadPath:
         self.instability = Instability(a + share * (b - a), a, b, sway, mode, parity)
         del self.steps[int(np.searchsorted(self._reached, b * (1 - 1e-12))) :]
         self.snaps = [snap_mm for snap_mm in self.snaps if snap_mm < b]
-        self.reason, self.state = self.instability.sentence, before
-        self.J = self.system.volume_ratios(before.x)
-        self.min_j = float(self.J.min())
+        self._end_at(before, self.instability.sentence)
 
     def _place(self) -> _Place:
         return self.state, self.previous, self.J, self.step_mm, self.min_j
@@ -618,15 +626,6 @@ class LoadPath:
         """Whether every requested step is there."""
         return int(np.count_nonzero(self._asked)) == self.problem.test.steps
 
-    @property
-    def _whole_mm(self) -> float:
-        return self.problem.test.depth_mm
-
-    @property
-    def _share(self) -> float:
-        """Share of the stored energy above which something has jumped."""
-        return STICKING_JUMP_SHARE if self.system.sticks else JUMP_SHARE
-
     def _add(self, step: Step) -> None:
         """Write down a step that converged, in the order of displacements."""
         self.steps.insert(int(np.searchsorted(self._reached, step.state.displacement_mm)), step)
@@ -737,9 +736,8 @@ class LoadPath:
                 f"{100 * pinned:.2g} % of the force: it is not balanced as it stands"
             )
         if not self._complete:
-            reached, depth = self.state.displacement_mm, self.problem.test.depth_mm
-            why = self.collapse or lost or self._why()
-            sentences = [f"stopped at {reached:.4g} mm of {depth:.4g} mm: {why}"]
+            reached, why = self.state.displacement_mm, self.collapse or lost or self._why()
+            sentences = [f"stopped at {reached:.4g} mm of {self._whole_mm:.4g} mm: {why}"]
             if lost and not self.collapse:
                 sentences.append(_OUT_OF_REACH)
         elif apart := self._apart():
@@ -753,27 +751,24 @@ class LoadPath:
                 f"{100 * inside / self._whole_mm:.2g} % of the displacement: use a smaller "
                 "mesh_size, or press less deep"
             )
-        sentences += self._too_coarse()
-        sentences += self._cannot_sway()
-        sentences += self._not_converged(curve)
+        sentences += [*self._too_coarse(), *self._cannot_sway(), *self._not_converged(curve)]
         if isinstance(self.problem.specimen, Enclosed):
             sentences += body(self.problem.specimen).notes
         return "; ".join(sentences)
 
-    def _too_coarse(self) -> list[str]:
+    def _too_coarse(self) -> Iterator[str]:
         """Say that the elements are too large for the deformation, or for what is touched."""
-        model, notes = self.problem.model, []
+        model = self.problem.model
         uneven = self.system.internal.uneven_volume(self.system.material, self.state.x)
         if uneven > _UNEVEN:
             other = "" if model.element_order == "quadratic" else ", or quadratic elements"
-            notes.append(
+            yield (
                 f"volumes within the elements are off by {100 * uneven:.2g} % (root mean square): "
                 "the mesh is too coarse for this deformation, and the force too high by a few "
                 f"percent or more; use a smaller mesh_size{other}"
             )
         if contact := unresolved_contact(self.problem.test, model.mesh_size_mm):
-            notes.append(contact)
-        return notes
+            yield contact
 
     def _apart(self) -> str:
         """Say where what moves has lost the specimen, or never met it; empty where it has not.
@@ -792,46 +787,44 @@ class LoadPath:
         lost = np.flatnonzero(off & (np.arange(off.size) > (met[0] if met.size else 0)))
         return f"contact is lost at {self._reached[lost[0]]:.4g} mm" if lost.size else ""
 
-    def _cannot_sway(self) -> list[str]:
+    def _cannot_sway(self) -> Iterator[str]:
         """Say that a column went past Euler's load in a model whose axis holds it straight."""
         setup, height_mm = self.problem.setup, self.system.mesh.height_mm
         critical = buckling_strain(setup.test, setup.specimen)
         small = self.system.material.small_strain
-        if (self.system.space.dim == 3 and not small) or critical is None:
-            return []
-        if not self._reached or self._reached[-1] < critical * height_mm:
-            return []
-        hidden = NEVER_BUCKLES if small else "a model with an axis of symmetry cannot show that"
-        return [
-            f"a column of this slenderness buckles at about {critical * height_mm:.3g} mm (Euler's "
-            f"load); {hidden}"
-        ]
+        if (self.system.space.dim == 3 and not small) or critical is None or not self._reached:
+            return
+        if self._reached[-1] >= critical * height_mm:
+            hidden = NEVER_BUCKLES if small else "a model with an axis of symmetry cannot show that"
+            yield (
+                f"a column of this slenderness buckles at about {critical * height_mm:.3g} mm "
+                f"(Euler's load); {hidden}"
+            )
 
-    def _not_converged(self, curve: Curve) -> list[str]:
+    def _not_converged(self, curve: Curve) -> Iterator[str]:
         """Say which iterations beside Newton's ended before their tolerance."""
-        notes, missed = [], [step for step in self.steps if step.gradients.excess > 1]
+        missed = [step for step in self.steps if step.gradients.excess > 1]
         rounded = max(map(self._rounded, self.steps[-1:]), default=0.0)
         if rounded > _ROUNDED:
             share = self.steps[-1].state.displacement_mm / self.system.mesh.height_mm
-            notes.append(
+            yield (
                 f"rounding of the nodal forces is {100 * rounded:.2g} % of the force: the "
                 f"displacement is {share:.2g} of the height; press deeper, or model a smaller "
                 "specimen"
             )
         if missed:
             worst = max(missed, key=lambda step: step.gradients.excess)
-            notes.append(
+            yield (
                 f"the derivatives of {len(missed)} steps did not converge: at "
                 f"{worst.state.displacement_mm:.4g} mm {worst.gradients.excess:.2g} times the "
                 "residual that is allowed is left"
             )
         error, most = curve.relative_interpolation_error(), self.options.curve_error
         if self._complete and most is not None and error > most:
-            notes.append(
+            yield (
                 f"between its points the curve may be off by {100 * error:.2g} % of the force, "
                 f"more than the {100 * most:.2g} % asked for: use more steps"
             )
-        return notes
 
 
 def _near(result: NewtonResult, J: Array) -> bool:

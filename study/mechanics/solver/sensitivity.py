@@ -288,12 +288,11 @@ def _loads(system: System, state: State, assembly: Assembly, parameters: tuple[s
     # dR/dtheta reuses the element arrays for residuals only: the tangent stays valid
     for column, name in enumerate(parameters, start=1):
         right[:, column] = -system.constant_derivative(state, name)
-    # -dR/dd at fixed unknowns: contact normals turn while a curved surface moves past
-    for points, touch in zip(system.contact, assembly.contact, strict=True):
-        dofs = points.dofs(system.space.dim)
-        np.add.at(right[:, 0], dofs.ravel(), -points.rotation_forces(touch).ravel())
     targets = []  # the loading moves the surface; constants move where ties hold their points
     for points, touch in zip(system.contact, assembly.contact, strict=True):
+        # -dR/dd at fixed unknowns: contact normals turn while a curved surface moves past
+        dofs = points.dofs(system.space.dim)
+        np.add.at(right[:, 0], dofs.ravel(), -points.rotation_forces(touch).ravel())
         target = np.zeros((points.size, k))
         target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
         if straight is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 
@@ -83,12 +83,8 @@ class EnergyBalance:
 
     def at_points(self, indices: Ints) -> EnergyBalance:
         """Return the balance at some of the displacements, given by their places."""
-        return EnergyBalance(
-            self.stored_Nmm[indices],
-            self.stabilization_Nmm[indices],
-            self.mismatch[indices],
-            self.jumps_mm,
-        )
+        rows = ("stored_Nmm", "stabilization_Nmm", "mismatch")
+        return replace(self, **{name: getattr(self, name)[indices] for name in rows})
 
     @property
     def largest_mismatch(self) -> float:
