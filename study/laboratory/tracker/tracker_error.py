@@ -31,7 +31,7 @@ from study.laboratory.registration.rigid import (
     limits_of_agreement,
     on_a_line,
     rotation_of,
-    student_half,
+    student_interval,
     target_registration_error,
 )
 from study.laboratory.tracker.tracker_recording import (
@@ -338,8 +338,8 @@ def _stage(recording: TrackerRecording, samples: Array, stage: str, alpha: float
     between, interval = None, None
     if len(parts) > 1:
         between = float(means.std(ddof=1))
-        half = float(student_half(between / np.sqrt(len(parts)), len(parts) - 1, alpha))
-        interval = (float(means.mean()) - half, float(means.mean()) + half)
+        error = between / np.sqrt(len(parts))
+        interval = student_interval(float(means.mean()), error, len(parts) - 1, alpha)
     return StageDistance(
         stage=stage,
         visits=len(parts),
@@ -403,9 +403,8 @@ def _drift(recording: TrackerRecording, samples: Array, means: Array, alpha: flo
 
     slope = float(x @ y / (x @ x))
     error = float(np.sqrt(((y - slope * x) ** 2).sum() / freedom / (x @ x)))
-    half = float(student_half(error, freedom, alpha))
     p = float(2 * t.sf(abs(slope) / error, freedom)) if error > 0 else float(slope == 0)
-    return Drift(slope, (slope - half, slope + half), p, unit, len(x))
+    return Drift(slope, student_interval(slope, error, freedom, alpha), p, unit, len(x))
 
 
 def _blocks(visit: Visit, samples: Array) -> tuple[Visit, ...]:
@@ -439,8 +438,7 @@ def _bias(
     total = float(np.hypot(standard_error, standard.uncertainty_mm))
     # Welch-Satterthwaite: the standard's own uncertainty counts as known
     freedom = (len(units) - 1) * (total / standard_error) ** 4 if standard_error > 0 else 1e6
-    half = float(student_half(total, min(freedom, 1e6), alpha))
-    return bias, (bias - half, bias + half)
+    return bias, student_interval(bias, total, min(freedom, 1e6), alpha)
 
 
 # What ``study tracking`` says.

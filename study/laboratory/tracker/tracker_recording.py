@@ -19,6 +19,7 @@ from study.ground.declaration import (
     Length,
     LengthOrZero,
     Reads,
+    Schema,
     choice,
     number,
     section,
@@ -36,8 +37,6 @@ from study.mechanics.measurement.measurement_section import Axes, csv_path, thre
 from study.mechanics.measurement.written_units import contradicts, word_of_unit
 
 # The file of a tracker study: its tables are classes, and a class's fields are the keys.
-
-SCHEMA = 1
 
 
 def markers_of(value: object) -> dict[str, Axes]:
@@ -141,17 +140,11 @@ class TrackingTable:
     alpha: Annotated[float, Reads(number(0, 0.5))] = 0.05
 
 
-def _schema(value: object) -> int:
-    if value != SCHEMA:
-        raise Bad(f"must be {SCHEMA}, got {shown(value)}", f"write schema = {SCHEMA}")
-    return SCHEMA
-
-
 @section
 class TrackingFile:
     """A file of ``study tracking``: at least one of the last three is there."""
 
-    schema: Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
+    schema: Schema
     recording: RecordingTable
     tracking: TrackingTable = TrackingTable()
     distance: DistanceTable | None = None

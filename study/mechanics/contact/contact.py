@@ -348,34 +348,6 @@ def gripping(
     return (points, *ties)
 
 
-def hold(
-    glue: Glue,
-    contact: tuple[ContactPoints, ...],
-    touching: list[ContactState],
-    nodes: Array,
-    u: Array,
-    displacement_mm: float,
-    rates: Mapping[str, Array],
-) -> tuple[Glue, tuple[Array, ...]]:
-    """Take hold of every point that is closed, in the same equilibrium."""
-    # Shapes: nodes, u (n_nodes, dim), mm; rates (n_nodes, dim).
-    points, pressure = contact[0], touching[0].pressure
-    new = touching[0].active
-    position = points.interpolated(nodes + u)
-    position[:, -1] += displacement_mm  # as seen from the indenter, which moves against the axis
-    anchor = np.where(new[:, None], position, glue.anchor)
-    moved = {
-        name: np.where(new[:, None], points.interpolated(rate), glue.rate(name))
-        for name, rate in rates.items()
-    }
-    normal = touching[0].normal()
-    pushed = [
-        np.where(new, pressure * normal[:, axis], touch.pressure)
-        for axis, touch in enumerate(touching[1:])
-    ]
-    return Glue(glue.held | new, anchor, moved), (np.where(new, 0.0, pressure), *pushed)
-
-
 # What holds and what touches a specimen: prescribed unknowns and contact points of a test.
 
 

@@ -391,7 +391,9 @@ def resultants(
 
 
 #: corners of a facet between which further nodes lie
-_BETWEEN = {2: [(0, 1)], 3: MIDDLES["triangle6"], 4: MIDDLES["quad9"]}
+_BETWEEN: dict[int, list[tuple[int, ...]]] = {
+    2: [(0, 1)], 3: MIDDLES["triangle6"], 4: MIDDLES["quad9"],
+}  # fmt: skip
 
 #: shape functions in the middle of a facet, by the number of its nodes
 _MIDDLE = {

@@ -21,12 +21,16 @@ from study.mechanics.setup.test_kind import (
 from study.mechanics.solver.equilibrium import (
     Equilibria,
     Instability,
+    contact_figures,
     has_inertia_of_factors,
     is_unstable,
     least_stiffness,
+    nodal_reactions,
+    resultants,
     surplus,
     swaying,
 )
+from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.linear_solver import SingularMatrixError
 from study.mechanics.solver.newton import (
     FALLS,
@@ -591,8 +595,14 @@ class LoadPath:
 
     def _step(self, result: NewtonResult, state: State, spent: int) -> Step:
         """Step of a converged result, whose state may be held by a bonded indenter meanwhile."""
-        sense, row = self.problem.setup.kind.sense, self._gradients(result)
-        return Step.of(self.system, state, result.equilibrium(), row, spent, sense)
+        system, assembly, row = self.system, result.equilibrium(), self._gradients(result)
+        stored = (system.force_scale * part for part in system.stored_energy(state))
+        forces = nodal_reactions(system, assembly)
+        figures = contact_figures(system, state, assembly, forces[0])
+        held = resultants(system, state, forces, self.problem.setup.kind.sense)
+        pins = np.abs(assembly.residual[system.constraints.pins])
+        pinned = float(pins.max()) / abs(row.force_N) if pins.size and row.force_N else 0.0
+        return Step(state, row, StoredEnergy(*stored), (*held, figures), pinned, spent)
 
     def _gradients(self, result: NewtonResult) -> StepGradients:
         """Force and derivatives of a converged state, computed once."""

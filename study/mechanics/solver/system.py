@@ -18,7 +18,6 @@ from study.mechanics.contact.contact import (
     Meeting,
     TiedPoints,
     constraints,
-    hold,
 )
 from study.mechanics.element.function_space import (
     Discretization,
@@ -304,18 +303,26 @@ class System:
 
         ``rates`` are the derivatives of the unknowns by every constant.
         """
-        if state.glue is None:
+        if (glue := state.glue) is None:
             return state
-        glue, multipliers = hold(
-            state.glue,
-            self.contact,
-            assembly.contact,
-            self.space.nodes,
-            self.displacements(state.x),
-            state.displacement_mm,
-            {name: self.displacements(rate) for name, rate in rates.items()},
-        )
-        return replace(state, glue=glue, multipliers=multipliers)
+        points, (touch, *ties) = self.contact[0], assembly.contact
+        new, normal = touch.active, touch.normal()
+        place = points.interpolated(self.space.nodes + self.displacements(state.x))
+        # as seen from the indenter, which moves against the axis
+        place[:, -1] += state.displacement_mm
+        moved = {
+            name: np.where(
+                new[:, None], points.interpolated(self.displacements(rate)), glue.rate(name)
+            )
+            for name, rate in rates.items()
+        }
+        pushed = [
+            np.where(new, touch.pressure * normal[:, axis], tie.pressure)
+            for axis, tie in enumerate(ties)
+        ]
+        held = Glue(glue.held | new, np.where(new[:, None], place, glue.anchor), moved)
+        free = np.where(new, 0.0, touch.pressure)
+        return replace(state, glue=held, multipliers=(free, *pushed))
 
     def factorize(self, *, exact: bool = False) -> None:
         """Factorize the last assembled tangent; ``exact`` asks for double precision."""
