@@ -401,7 +401,7 @@ class PythonFunction:
                       if k in returned}  # fmt: skip
             returned = {k: v for k, v in returned.items() if k not in values}
         columns = _python_function_columns(cast("ArrayLike", returned), displacement_mm)
-        return replace(at_points(columns, displacement_mm, {}), values=values)
+        return replace(at_points(columns, displacement_mm), values=values)
 
     def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> PredictedCurve:
         """Values of parameters alone, or the curve; a value has the unit of its response."""
@@ -540,7 +540,7 @@ class External:
                 return curve_answered(folder, displacement_mm, section.reaches)
             given = curve_of(section.curve, folder)
             columns = {DISPLACEMENT: given.displacement_mm, FORCE: given.force_N}
-            return at_points(columns, displacement_mm, {}, section.reaches)
+            return at_points(columns, displacement_mm, section.reaches)
 
         def call(function: PythonFunction) -> PredictedCurve:
             return function.solve(request, displacement_mm, section.units)

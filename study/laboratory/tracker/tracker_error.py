@@ -6,10 +6,10 @@ of its own, so the line is fitted with errors in both quantities.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -218,33 +218,10 @@ class Standard:
     spheres: tuple[FittedSphere, ...] = ()
 
 
-class StageEffect(Protocol):
-    """What the means of stages differ by."""
-
-    @property
-    def range(self) -> float | None:
-        """Largest difference, mm."""
-
-    @property
-    def p(self) -> float | None:
-        """Of no difference."""
-
-    @property
-    def verdict(self) -> str:
-        """What may be claimed of it."""
-
-
-class StageComparison(Protocol):
-    """Analysis of variance of the means of visits, with the stage as factor."""
-
-    @property
-    def effects(self) -> Sequence[StageEffect]:
-        """One of the stages; empty where none can be told."""
-
-
-#: makes it of a table (``stage``, ``distance`` in mm, ``pass`` where there are passes), the
-#: smallest difference that matters in mm, and alpha
-Compare = Callable[["pd.DataFrame", float | None, float], StageComparison]
+#: makes an analysis of variance, with the stage as factor, of a table of the means of visits
+#: (``stage``, ``distance`` in mm, ``pass`` where there are passes), the smallest difference that
+#: matters in mm, and alpha
+Compare = Callable[["pd.DataFrame", float | None, float], Keyed]
 
 
 @dataclass(frozen=True)
@@ -263,7 +240,7 @@ class DistanceResult(Keyed):
     #: In the order of the recording.
     stages: tuple[StageDistance, ...]
     #: Analysis of variance of the visit means; None where it cannot be made.
-    comparison: StageComparison | None
+    comparison: Keyed | None
     #: Why there is none, or what the error term is.
     comparison_note: str
     #: None where there are too few visits or independent samples.

@@ -12,12 +12,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from study.ground.arrays import Array, Flags, Ints
+from study.mechanics.contact.rigid_surface import Press
 from study.mechanics.element.function_space import _SAME, Nodes, at_level
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Enclosed
@@ -28,20 +28,6 @@ from study.mechanics.surface.closed_surface import body
 #: eps = STIFFNESS * mu0 / h and c = SWITCHING * mu0 / h
 STIFFNESS = 4e4
 SWITCHING = 20.0
-
-
-class RigidSurface(Protocol):
-    """A rigid obstacle that moves with the displacement of the test."""
-
-    @property
-    def speed(self) -> float:
-        """Axial motion against the axis per unit of displacement: d(gap)/dd = n_z speed."""
-
-    def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
-        """Signed distance (n,), outward unit normal (n, dim) and Hessian (n, dim, dim)."""
-
-    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
-        """Gap (n,) and normal (n, dim) of small-strain contact, from reference positions ``x``."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +54,14 @@ class Plane:
     level_mm: float
     #: {-1, 1}: direction of the normal into the specimen's side.
     sense: int
-    #: Axial motion per unit of displacement, against the axis: 1, or 0.5 in a half model.
+    #: Axial motion per unit of displacement, against the axis: 1, or 0.5 in a half model;
+    #: d(gap)/dd is n_z times it.
     speed: float
     #: Axis that it lies across.
     axis: int
 
     def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
-        """Signed distance, normal and (zero) Hessian."""
+        """Signed distance (n,), normal (n, dim) and (zero) Hessian (n, dim, dim)."""
         n, dim = x.shape
         normal = np.zeros((n, dim))
         normal[:, self.axis] = self.sense
@@ -88,6 +75,10 @@ class Plane:
     def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
         """As :meth:`gap`: a plane looks the same from both states."""
         return self.gap(x + u, displacement_mm)[:2]
+
+
+#: a rigid obstacle that moves with the displacement of the test
+RigidSurface = Plane | Press
 
 
 @dataclass(frozen=True)

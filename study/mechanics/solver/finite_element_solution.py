@@ -41,7 +41,7 @@ from study.mechanics.solver.newton import NewtonSettings, Options, solve_step
 from study.mechanics.solver.sensitivity import Loads, linear_rates
 from study.mechanics.solver.solution import Solution, without_answer
 from study.mechanics.solver.solution_cost import size_faults
-from study.mechanics.solver.system import Assembly, State, System
+from study.mechanics.solver.system import State, System
 from study.mechanics.surface.closed_surface import PLAUSIBLE_MM, body, height_of
 
 # -------------------------------------------------------------------------------------------------
@@ -104,9 +104,6 @@ def instability(problem: Problem) -> str:
     if stable_in(UNIAXIAL, material, stretches):
         return ""
     return stability(material, stretches).sentence
-
-
-__all__ = ["Options", "follow", "solve"]
 
 
 def solve(
@@ -247,7 +244,6 @@ class PrescribedMotion:
             raise NoEquilibrium(solution.message)
         self.system = solution.warm.system
         self._modes = _modes(self.system)
-        self._settings = NewtonSettings()
         state, besides = solution.warm.steps[-1].state, problem.test.motion
         others = np.zeros(BESIDES) if besides is None else besides.components()
         motion = np.concatenate([[problem.test.depth_mm], others])
@@ -270,7 +266,7 @@ class PrescribedMotion:
         guess[system.constraints.dofs] = system.prescribed(float(motion[0]))
         start = replace(near.state, displacement_mm=float(motion[0]), x=guess)
         if (system.volume_ratios(guess) > 0).all():
-            step = solve_step(system, start, self._settings)
+            step = solve_step(system, start, NewtonSettings())
             if step.converged:
                 return self._described(system, motion, step.state)
         if not halvings:
@@ -285,18 +281,8 @@ class PrescribedMotion:
         return replace(self.system, constraints=constraints, latest=replace(self.system.latest))
 
     def _described(self, system: System, motion: Array, state: State) -> MovedPlate:
-        rates = self._rates(system, state, system.assemble(state))
-        shape = (*system.space.nodes.shape, COMPONENTS)
-        return MovedPlate(
-            motion=motion.copy(),
-            state=state,
-            displacement=system.displacements(state.x).copy(),
-            rates=rates[: system.space.n_displacement].reshape(shape),
-        )
-
-    def _rates(self, system: System, state: State, assembly: Assembly) -> Array:
-        """Differentiate all unknowns by the motion, shape (n, 7)."""
-        start = np.zeros((system.space.n, COMPONENTS))
+        """Equilibrium with the derivatives of all unknowns by the motion."""
+        assembly, start = system.assemble(state), np.zeros((system.space.n, COMPONENTS))
         start[system.constraints.dofs] = self._modes
         targets = []
         for points, touch in zip(system.contact, assembly.contact, strict=True):
@@ -307,7 +293,13 @@ class PrescribedMotion:
         rates = linear_rates(system, assembly, loads, _PRESCRIBED_MOTION_TOLERANCE)
         if rates.excess > 1:
             raise NoEquilibrium("the derivatives by the plate motion did not converge")
-        return rates.x
+        of_nodes = rates.x[: system.space.n_displacement]
+        return MovedPlate(
+            motion=motion.copy(),
+            state=state,
+            displacement=system.displacements(state.x).copy(),
+            rates=of_nodes.reshape(*system.space.nodes.shape, COMPONENTS),
+        )
 
 
 def _modes(system: System) -> Array:

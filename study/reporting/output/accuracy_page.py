@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -31,6 +32,9 @@ from study.reporting.content.text import (
 )
 from study.reporting.figures.axes import Plot
 from study.reporting.output.write import answer_blocks, write_answer
+
+if TYPE_CHECKING:
+    from study.statistics.analysis.analysis_result import AnalysisResult
 
 
 def scan_answers(deviation: ShapeDeviation) -> list[str]:
@@ -145,8 +149,9 @@ def _tracker_distance(distance: DistanceResult, alpha: float) -> Iterator[str]:
             clear = "more than chance explains" if low > 0 or high < 0 else "within chance"
             ends = f"{level(alpha)} interval {interval(low, high, 'mm')}"
             yield f"{text}, {ends}: {clear}."
-    if distance.comparison is not None and distance.comparison.effects:
-        effect = distance.comparison.effects[0]
+    comparison = cast("AnalysisResult | None", distance.comparison)
+    if comparison is not None and comparison.effects:
+        effect = comparison.effects[0]
         text = f"Stages differ by up to {quantity(effect.range, 'mm')} ({p_phrase(effect.p)})"
         yield f"{text}: {effect.verdict}; {distance.comparison_note}."
     else:
