@@ -63,9 +63,7 @@ def _under_indenter(
 ) -> tuple[ContactPoints, ...]:
     """Points of the loaded face, or of a whole surface but for its base."""
     if isinstance(problem.specimen, Enclosed):
-        base = np.zeros(len(space.nodes), dtype=bool)
-        base[at_level(space, mesh, 0.0)] = True
-        chosen = np.asarray(~base[space.facets].all(axis=1))
+        chosen = ~np.isin(space.facets, at_level(space, mesh, 0.0)).all(axis=1)
         corners = mesh.points[space.facets[chosen][:, :3]]
         touch = touch_mm(pair.indenter, corners, mesh.height_mm)
     else:

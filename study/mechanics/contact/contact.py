@@ -72,10 +72,6 @@ class Plane:
             np.zeros((n, dim, dim)),
         )
 
-    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
-        """As :meth:`gap`: a plane looks the same from both states."""
-        return self.gap(x + u, displacement_mm)[:2]
-
 
 #: a rigid obstacle that moves with the displacement of the test
 RigidSurface = Plane | Press
@@ -130,10 +126,9 @@ class ContactPoints:
         self, reference: Array, moved: Array, displacement_mm: float
     ) -> tuple[Array, Array, Array]:
         """Gap, normal and Hessian of points from reference positions and displacements."""
-        if not self.small_strain:
-            return self.surface.gap(reference + moved, displacement_mm)
-        gap, normal = self.surface.reference_gap(reference, moved, displacement_mm)
-        return gap, normal, np.zeros((*reference.shape, reference.shape[1]))
+        if self.small_strain and isinstance(self.surface, Press):  # a plane is one from both states
+            return self.surface.reference_gap(reference, moved, displacement_mm)
+        return self.surface.gap(reference + moved, displacement_mm)
 
     def evaluate(
         self, met: Meeting, multiplier: Array, closed: Flags | None = None, glue: Glue | None = None
@@ -272,13 +267,10 @@ class ContactState:
         pull = max(0.0, -float(self.pressure[~self.led].min(initial=0.0)))
         return pull / top if top > 0 else 0.0 if pull == 0 else np.inf
 
-    def settled(self) -> bool:
-        """Whether no open point wants to close."""
-        return not bool((self.closing & ~self.active).any())
-
-    def largest_violation(self) -> float:
-        """Largest |gap| of the active points, mm."""
-        return float(np.abs(self.gap[self.active]).max()) if self.active.any() else 0.0
+    def settled(self, gap_mm: float) -> bool:
+        """Whether no open point wants to close, and no closed one is off by a gap."""
+        off_mm = float(np.abs(self.gap[self.active]).max(initial=0.0))
+        return off_mm < gap_mm and not (self.closing & ~self.active).any()
 
 
 # Sticking to a rigid indenter without slip and release (Spence 1968, Proc. R. Soc. A 305, 55).

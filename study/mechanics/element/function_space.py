@@ -73,20 +73,12 @@ def _side_facets(space: Discretization, mesh: Mesh) -> Flags:
 
 #: scikit-fem's numbering of the corners of a hexahedron, seen from (bottom quad, top quad)
 _HEX_ORDER = [0, 4, 3, 1, 7, 5, 2, 6]
-#: order of the quadrature rule of (space, order, shape)
-_RULES = {
-    ("axisymmetric", "quadratic", "simplex"): 4,
-    ("axisymmetric", "linear", "simplex"): 4,
-    ("axisymmetric", "quadratic", "tensor"): 5,
-    ("axisymmetric", "linear", "tensor"): 3,
-    ("3d", "quadratic", "simplex"): 2,
-    ("3d", "linear", "simplex"): 2,
-    ("3d", "quadratic", "tensor"): 5,
-    ("3d", "linear", "tensor"): 3,
-}
+#: order of the quadrature rule, of simplices by the space, of others by the order
+_SIMPLEX_RULES = {"axisymmetric": 4, "3d": 2}
+_TENSOR_RULES = {"linear": 3, "quadratic": 5}
 #: and under an indenter, where a quadratic tetrahedron is stretched five times: looked at in
 #: four points only, it collapses between them
-_STRETCHED_RULES = {("3d", "quadratic", "simplex"): 5}
+_STRETCHED_RULE = 5
 
 
 @dataclass(frozen=True)
@@ -129,9 +121,10 @@ class Discretization(Nodes):
 
 def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discretization:
     """Shape-function arrays of a mesh for a model's element pair."""
-    axisymmetric = model.space == "axisymmetric"
-    rules = _RULES | _STRETCHED_RULES if stretched else _RULES
-    rule = rules[(model.space, model.element_order, model.element_shape)]
+    axisymmetric, simplex = model.space == "axisymmetric", model.element_shape == "simplex"
+    rule = _SIMPLEX_RULES[model.space] if simplex else _TENSOR_RULES[model.element_order]
+    if stretched and simplex and not axisymmetric and model.element_order == "quadratic":
+        rule = _STRETCHED_RULE
     basis = basis_of(mesh, model, rule)
     ne, nq = basis.dx.shape
     gradients = np.stack(

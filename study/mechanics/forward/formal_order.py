@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 from study.mechanics.setup.geometry import Cylinder, Enclosed
 from study.mechanics.setup.setup import Problem
-from study.mechanics.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
+from study.mechanics.setup.test_kind import Singularity
 
 _DEGREE = {"linear": 1, "quadratic": 2}
 
@@ -65,7 +65,7 @@ def formal_order(problem: Problem) -> FormalOrder:
 
 def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
     """Limit that a singularity sets, and why."""
-    if isinstance(singularity, ClampedCorner):
+    if singularity.place == "clamped corner":
         K, mu = problem.material.bulk, problem.material.mu0
         exponent = clamped_corner(0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu)))
         if exponent < 1 and _is_deep(problem):
@@ -77,11 +77,11 @@ def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
             f"the corner between a bonded and a free face: the displacement goes as "
             f"s^{exponent:.3f} there"
         )
-    if isinstance(singularity, SharpEdge):
-        return 1.0, _sharp(problem, singularity.name)
-    if not isinstance(singularity, RoundedEdge):
+    if singularity.place == "rim":
         return 2.0, _RIM
-    edge, size = singularity.radius_mm, element_size_mm(problem)
+    if singularity.name:
+        return 1.0, _sharp(problem, singularity.name)
+    edge, size = singularity.rounding_mm, element_size_mm(problem)
     if size > edge / _ACROSS_EDGE:
         return 1.0, (
             f"the edge of the flat punch, rounded with {edge:.3g} mm, which the coarsest mesh of "

@@ -41,9 +41,7 @@ MIDDLES: dict[str, list[tuple[int, ...]]] = {
 }
 #: cells by their dimension and number of corners, as meshio names them, and those with all middles
 KINDS = {(2, 3): "triangle", (2, 4): "quad", (3, 4): "tetra", (3, 8): "hexahedron"}
-QUADRATIC = {
-    "triangle": "triangle6", "quad": "quad9", "tetra": "tetra10", "hexahedron": "hexahedron27",
-}  # fmt: skip
+QUADRATIC = dict(zip(KINDS.values(), MIDDLES, strict=True))
 #: corners of a cell in the order that its mirror image needs
 _MIRRORED = {
     "triangle": [1, 0, 2], "quad": [1, 0, 3, 2], "tetra": [0, 1, 3, 2],

@@ -262,32 +262,16 @@ MeshGrading = TowardsPlates | AroundContact
 
 
 @dataclass(frozen=True)
-class ClampedCorner:
-    """Right angle between a bonded and a free face."""
+class Singularity:
+    """Place of the surface that limits the order of the force."""
 
-
-@dataclass(frozen=True)
-class SharpEdge:
-    """Edge of a rigid face, where the pressure goes as the inverse root of the distance."""
-
-    #: As a sentence calls it.
-    name: str
-
-
-@dataclass(frozen=True)
-class RoundedEdge:
-    """Edge of a rigid face that looks sharp to elements as large as its radius."""
-
-    #: Of the rounding.
-    radius_mm: float
-
-
-@dataclass(frozen=True)
-class ContactRim:
-    """Rim of a smooth contact, which a mesh places to within an element."""
-
-
-Singularity = ClampedCorner | SharpEdge | RoundedEdge | ContactRim
+    #: Right angle between a bonded and a free face, edge of a rigid face where the pressure goes as
+    #: the inverse root of the distance, or rim of a smooth contact.
+    place: Literal["clamped corner", "edge", "rim"]
+    #: Of a sharp edge, as a sentence calls it; radius of a rounded one, which looks sharp to
+    #: elements as large.
+    name: str = ""
+    rounding_mm: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -355,7 +339,8 @@ class TestKind(ABC):
 
     def singularities(self, test: Test) -> tuple[Singularity, ...]:
         """Corners and edges that limit the order of the force: usually rims of held faces."""
-        return (ClampedCorner(),) if any(face.is_held for face in self.faces(test)) else ()
+        is_held = any(face.is_held for face in self.faces(test))
+        return (Singularity("clamped corner"),) if is_held else ()
 
     @abstractmethod
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
@@ -499,10 +484,11 @@ class Indentation(TestKind):
         """Edge of a flat face, or the rim of a smooth contact."""
         pressed = indenter_of_test(test)
         if pressed.is_sharp_edged:
-            return (SharpEdge("sharp edge"),)
+            return (Singularity("edge", "sharp edge"),)
         if holds_face(test):
-            return (SharpEdge("rim of the bonded face"),)
-        return (RoundedEdge(pressed.rounding_mm) if pressed.has_face else ContactRim(),)
+            return (Singularity("edge", "rim of the bonded face"),)
+        rounded = Singularity("edge", rounding_mm=pressed.rounding_mm)
+        return (rounded if pressed.has_face else Singularity("rim"),)
 
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
         """Depth, shape of the indenter, and what it could touch."""

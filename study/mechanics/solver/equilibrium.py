@@ -353,11 +353,9 @@ def _columns(names: Sequence[str], rows: Sequence[object]) -> dict[str, object]:
 def nodal_reactions(system: System, assembly: Assembly) -> tuple[Array, Array]:
     """Split nodal forces into those of the plate or indenter and of the base, (n_nodes, dim)."""
     space, mesh, held = system.space, system.mesh, system.constraints
-    dim, above, below = space.dim, np.zeros(space.n_displacement), np.zeros(space.n_displacement)
-    top = np.zeros(len(space.nodes), dtype=bool)
-    top[at_level(space, mesh, mesh.height_mm)] = True
+    dim, (above, below) = space.dim, np.zeros((2, space.n_displacement))
     dofs = np.setdiff1d(held.dofs[held.dofs < space.n_displacement], held.pins)
-    upper = top[dofs // dim]
+    upper = np.isin(dofs // dim, at_level(space, mesh, mesh.height_mm))
     above[dofs[upper]] = assembly.residual[dofs[upper]]
     below[dofs[~upper]] = assembly.residual[dofs[~upper]]
     for points, touch in zip(system.contact, assembly.contact, strict=True):

@@ -161,24 +161,20 @@ def follow(
     model = replace(problem.model, space="3d")
     if model.element_order == "linear" and not isinstance(problem.specimen, Enclosed):
         most = 2 * problem.specimen.half_width_mm / BENT_ELEMENTS
-        model = replace(
-            model, mesh_size_mm=min(mesh_size(replace(problem, model=model).setup), most)
-        )
+        size_mm = mesh_size(replace(problem, model=model).setup)
+        model = replace(model, mesh_size_mm=min(size_mm, most))
     solid = replace(problem, model=model)
-    part = solve(solid, gradients=gradients, options=options, progress=progress)
+    solve_solid = partial(solve, solid, gradients=gradients, options=options, progress=progress)
+    part = solve_solid()
     bent, warm, specimen = part.instability, part.warm, problem.specimen
     if bent is None or warm is None or isinstance(specimen, Enclosed) or solid.setup.is_whole:
         return part
     mesh = warm.system.mesh
-    mode = bent.mode[: len(mesh.points)]
-    whole, shape = mirrored(mesh, mode, bent.parity, warm.system.mesh.height_mm)
+    whole, shape = mirrored(mesh, bent.mode[: len(mesh.points)], bent.parity, mesh.height_mm)
     branch = part
     for share in IMPERFECTIONS:
         points = whole.points + share * 2 * specimen.half_width_mm * shape
-        branch = solve(
-            solid, gradients=gradients, options=options, progress=progress,
-            mesh=replace(whole, points=points),
-        )  # fmt: skip
+        branch = solve_solid(mesh=replace(whole, points=points))
         if branch.converged:
             break
     message = (

@@ -184,9 +184,11 @@ class LoadPath:
         self._follows = self.warm is not None and options.same_points
         self.progress = progress or (lambda _: None)
         self.rest: State | None = system.start()  # None where the weight has no equilibrium
-        if system.weight is not None:
-            self.rest = sagged_state(system, options.newton)
-            system = self.system = system if self.rest is None else system.sagged(self.rest)
+        if (weight := system.weight) is not None:
+            self.rest = sagged_state(system, weight, options.newton)
+            if self.rest is not None:  # the work of the test is counted from there
+                lying = replace(weight, energy_at_rest=system.stored_energy(self.rest).total)
+                system = self.system = replace(system, weight=lying)
         self.state, self.previous = self.rest or system.start(), None  # type: State, State | None
         self.J = system.volume_ratios(self.state.x)
         self.rule = problem.setup.step_rule(options.steps, system.mesh.height_mm)

@@ -171,19 +171,6 @@ class System:
         system.seconds["setup"] = time.perf_counter() - start
         return system
 
-    def weighing(self, share: float) -> System:
-        """Return the same equations with a share of the weight; solver and arrays are shared."""
-        weight = None if self.weight is None else Weight(share * self.weight.forces)
-        return replace(self, weight=weight, latest=replace(self.latest))
-
-    def sagged(self, state: State) -> System:
-        """Return the same equations, the work of the test counted from a state."""
-        if self.weight is None:
-            return self
-        start = self.internal.stored(self.material, state.x)
-        rest = start.total - float(self.weight.forces @ state.x)
-        return replace(self, weight=replace(self.weight, energy_at_rest=rest))
-
     @property
     def contact(self) -> tuple[ContactPoints, ...]:
         """Every set of points that may meet a rigid surface."""
