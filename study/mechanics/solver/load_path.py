@@ -191,7 +191,8 @@ class LoadPath:
                 system = self.system = replace(system, weight=lying)
         self.state, self.previous = self.rest or system.start(), None  # type: State, State | None
         self.J = system.volume_ratios(self.state.x)
-        self.rule = problem.setup.step_rule(options.steps, system.mesh.height_mm)
+        kind, height_mm = problem.setup.kind, system.mesh.height_mm
+        self.rule = kind.steps(problem.test, height_mm, options.steps)
         self.step_mm = self.rule.first_mm
         self.steps: list[Step] = []
         #: displacements at which the surface snapped to another equilibrium, mm

@@ -370,7 +370,7 @@ def unknowns(setup: Setup, mesh: Mesh) -> int:
 def _load_steps(setup: Setup, height_mm: float) -> float:
     """Newton iterations of a run: requested steps, each cut to what the step rule allows."""
     test = setup.test
-    rule = setup.step_rule(StepSettings(), height_mm)
+    rule = setup.kind.steps(test, height_mm, StepSettings())
     targets = test.depth_mm * np.arange(1, test.steps + 1) / test.steps
     length = test.depth_mm / test.steps
     pieces = sum(np.ceil(length / rule.largest_mm(depth) - 1e-9) for depth in targets)
