@@ -19,7 +19,7 @@ from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from study.mechanics.mesh.structured import KINDS as CELLS
-from study.mechanics.mesh.structured import MIDDLES, QUADRATIC, edges_and_facets
+from study.mechanics.mesh.structured import MIDDLES, QUADRATIC, edges_and_facets, outer
 from study.mechanics.surface.closed_surface import Edges, Triangles, inspect, joined, read_mesh
 
 if TYPE_CHECKING:
@@ -136,11 +136,7 @@ def _outer_sides(mesh: DeformedMesh) -> Ints:
     nodes = np.concatenate([mesh.cells[:, list(side)] for side in sides])
     owner = np.tile(np.arange(len(mesh.cells)), len(sides))
     number = np.repeat(np.arange(len(sides)), len(mesh.cells))
-    _, first, count = np.unique(
-        np.sort(nodes, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    alone = first[count == 1]
-    parts = []
+    alone, parts = outer(nodes), []
     for k in range(len(sides)):
         part = alone[number[alone] == k]
         owners = owner[part]

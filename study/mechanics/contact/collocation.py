@@ -63,7 +63,8 @@ def _under_indenter(
 ) -> tuple[ContactPoints, ...]:
     """Points of the loaded face, or of a whole surface but for its base."""
     if isinstance(problem.specimen, Enclosed):
-        chosen = ~np.isin(space.facets, at_level(space, mesh, 0.0)).all(axis=1)
+        on_base = np.isin(space.facets, at_level(space, mesh, 0.0))
+        chosen = np.asarray(~on_base.all(axis=1))
         corners = mesh.points[space.facets[chosen][:, :3]]
         touch = touch_mm(pair.indenter, corners, mesh.height_mm)
     else:

@@ -24,6 +24,7 @@ from study.mechanics.mesh.structured import (
     extrude,
     graded_line,
     layers,
+    outer,
     rectangle,
 )
 from study.mechanics.setup.geometry import Enclosed, Specimen
@@ -162,17 +163,14 @@ def _boundary_normals(mesh: Mesh) -> tuple[Ints, Array]:
     """Nodes of boundary facets and the facets' unit normals, one row for each pair of them."""
     parts = edges_and_facets(mesh.kind)[1]
     facets = np.vstack([mesh.cells[:, list(facet)] for facet in parts])
-    _, first, count = np.unique(
-        np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    outer = facets[first[count == 1]]
-    along = mesh.points[outer[:, 1:]] - mesh.points[outer[:, :1]]
+    rim = facets[outer(facets)]
+    along = mesh.points[rim[:, 1:]] - mesh.points[rim[:, :1]]
     if mesh.points.shape[1] == 2:
         normal = np.column_stack([along[:, 0, 1], -along[:, 0, 0]])
     else:
         normal = np.cross(along[:, 0], along[:, 1])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return outer.ravel(), np.repeat(normal, outer.shape[1], axis=0)
+    return rim.ravel(), np.repeat(normal, rim.shape[1], axis=0)
 
 
 def _random_steps(

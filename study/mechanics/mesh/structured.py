@@ -79,6 +79,14 @@ def edges_and_facets(kind: str) -> tuple[list[tuple[int, ...]], list[tuple[int, 
     return edges, faces if kind == "hexahedron" else edges
 
 
+def outer(facets: Ints) -> Ints:
+    """Places, in a list of all cells' facets, of those that belong to one cell alone."""
+    _, first, count = np.unique(
+        np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    return np.asarray(first[count == 1])
+
+
 def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
     """Points from 0 to ``length``, ``h`` apart, closer towards the end where asked."""
     # Units: length, h mm.
