@@ -65,7 +65,7 @@ def formal_order(problem: Problem) -> FormalOrder:
 
 def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
     """Limit that a singularity sets, and why."""
-    if singularity.place == "clamped corner":
+    if singularity.kind == "clamped corner":
         K, mu = problem.material.bulk, problem.material.mu0
         exponent = clamped_corner(0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu)))
         if exponent < 1 and _is_deep(problem):
@@ -77,7 +77,7 @@ def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
             f"the corner between a bonded and a free face: the displacement goes as "
             f"s^{exponent:.3f} there"
         )
-    if singularity.place == "rim":
+    if singularity.kind == "rim":
         return 2.0, _RIM
     if singularity.name:
         return 1.0, _sharp(problem, singularity.name)

@@ -422,7 +422,11 @@ def _quarter(
     geo, lines = gmsh.model.geo, dict[tuple[int, int], int]()
     low = [geo.addPoint(0, 0, 0), *(geo.addPoint(x, y, 0) for x, y in outline)]
     high = [geo.addPoint(0, 0, height), *(geo.addPoint(x, y, height) for x, y in outline)]
-    arc = _arc(gmsh, ring, height, field) if 0 < ring < outline[:, 0].max() else []
+    arc: list[int] = []
+    if 0 < ring < outline[:, 0].max():  # of the polygon that follows the circle, from x to y
+        segments = max(4, int(np.ceil(np.pi / 2 * ring / float(field.at(ring, height)))))
+        circle = quarter_circle(ring, np.linspace(0, np.pi / 2, segments + 1))
+        arc = [int(geo.addPoint(x, y, height)) for x, y in circle]
     faces = [_face(gmsh, low, lines)]
     n = len(low)
     for i in range(n):
@@ -439,13 +443,6 @@ def _quarter(
     else:
         faces.append(_face(gmsh, high, lines))
     geo.addVolume([geo.addSurfaceLoop(faces)])
-
-
-def _arc(gmsh: ModuleType, ring: float, height: float, field: SizeField) -> list[int]:
-    """Points of the polygon that follows a circle about the axis, from x to y."""
-    segments = max(4, int(np.ceil(np.pi / 2 * ring / float(field.at(ring, height)))))
-    places = quarter_circle(ring, np.linspace(0, np.pi / 2, segments + 1))
-    return [int(gmsh.model.geo.addPoint(x, y, height)) for x, y in places]
 
 
 def _face(gmsh: ModuleType, corners: list[int], lines: dict[tuple[int, int], int]) -> int:

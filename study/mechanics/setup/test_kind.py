@@ -267,7 +267,7 @@ class Singularity:
 
     #: Right angle between a bonded and a free face, edge of a rigid face where the pressure goes as
     #: the inverse root of the distance, or rim of a smooth contact.
-    place: Literal["clamped corner", "edge", "rim"]
+    kind: Literal["clamped corner", "edge", "rim"]
     #: Of a sharp edge, as a sentence calls it; radius of a rounded one, which looks sharp to
     #: elements as large.
     name: str = ""

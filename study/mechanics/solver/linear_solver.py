@@ -257,10 +257,8 @@ class Pardiso:
         self._analyzed = False
 
     def weigh(self, weights: Array | None) -> None:
-        """Factorize D A D from the next matrix A on, D = diag(weights), powers of two (n,).
-
-        Pivots are compared with the largest entry of the matrix, whatever its units.
-        """
+        """Factorize D A D from the next matrix A on, D = diag(weights), powers of two (n,)."""
+        # pivots are compared with the largest entry of the matrix, whatever its units
         self._weights = weights
 
     def sharpen(self) -> None:

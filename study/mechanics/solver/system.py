@@ -294,9 +294,9 @@ class System:
             return state
         points, (touch, *ties) = self.contact[0], assembly.contact
         new, normal = touch.active, touch.normal()
-        place = points.interpolated(self.space.nodes + self.displacements(state.x))
+        position = points.interpolated(self.space.nodes + self.displacements(state.x))
         # as seen from the indenter, which moves against the axis
-        place[:, -1] += state.displacement_mm
+        position[:, -1] += state.displacement_mm
         moved = {
             name: np.where(
                 new[:, None], points.interpolated(self.displacements(rate)), glue.rate(name)
@@ -307,7 +307,7 @@ class System:
             np.where(new, touch.pressure * normal[:, axis], tie.pressure)
             for axis, tie in enumerate(ties)
         ]
-        held = Glue(glue.held | new, np.where(new[:, None], place, glue.anchor), moved)
+        held = Glue(glue.held | new, np.where(new[:, None], position, glue.anchor), moved)
         free = np.where(new, 0.0, touch.pressure)
         return replace(state, glue=held, multipliers=(free, *pushed))
 

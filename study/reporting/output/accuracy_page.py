@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -32,9 +31,7 @@ from study.reporting.content.text import (
 )
 from study.reporting.figures.axes import Plot
 from study.reporting.output.write import answer_blocks, write_answer
-
-if TYPE_CHECKING:
-    from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.analysis_result import AnalysisResult
 
 
 def scan_answers(deviation: ShapeDeviation) -> list[str]:
@@ -67,10 +64,9 @@ def _registration(registration: Registration, added: float) -> Iterator[str]:
     yield (
         f"Registered by closest points: moved by {quantity(shift, 'mm')} and turned by "
         f"{significant(registration.motion.angle_deg)} deg; residual "
-        f"{quantity(registration.rms_mm, 'mm')} RMS, "
-        f"{registration.rejected:,} of {registration.used:,} points without weight. The "
-        "registration is known "
-        f"to {quantity(added, 'mm', 2)} (one standard uncertainty, RMS over the points)."
+        f"{quantity(registration.rms_mm, 'mm')} RMS, {registration.rejected:,} of "
+        f"{registration.used:,} points without weight. The registration is known to "
+        f"{quantity(added, 'mm', 2)} (one standard uncertainty, RMS over the points)."
     )
     if registration.sliding:
         listed = "; ".join(str(motion) for motion in registration.sliding)
@@ -149,9 +145,8 @@ def _tracker_distance(distance: DistanceResult, alpha: float) -> Iterator[str]:
             clear = "more than chance explains" if low > 0 or high < 0 else "within chance"
             ends = f"{level(alpha)} interval {interval(low, high, 'mm')}"
             yield f"{text}, {ends}: {clear}."
-    comparison = cast("AnalysisResult | None", distance.comparison)
-    if comparison is not None and comparison.effects:
-        effect = comparison.effects[0]
+    if isinstance(distance.comparison, AnalysisResult) and distance.comparison.effects:
+        effect = distance.comparison.effects[0]
         text = f"Stages differ by up to {quantity(effect.range, 'mm')} ({p_phrase(effect.p)})"
         yield f"{text}: {effect.verdict}; {distance.comparison_note}."
     else:
