@@ -112,12 +112,8 @@ def analyze_displacement(
         raise InputError(Fault("displacement.unit", rule, mend))
     spread = line.residual_sd if repeat is None else repeat
     home = float(spread / np.sqrt(at_home.sum()))
-    line_uncertainty = line.offset_uncertainty
-    total = float(np.hypot(line_uncertainty, home))
-    half = (line.offset_interval[1] - line.offset) * (
-        total / line_uncertainty if line_uncertainty > 0 else 1.0
-    )
-    interval = (line.offset - half, line.offset + half)
+    total = float(np.hypot(line.offset_uncertainty, home))
+    interval = student_interval(line.offset, total, line.points - 2, alpha)
     return DisplacementResult(
         marker=declared.marker,
         commanded_mm=steps,

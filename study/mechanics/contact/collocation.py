@@ -83,8 +83,9 @@ def _under_indenter(
             only(points, ~under[points.nodes].all(axis=1)),
         )
         return tuple(part for part in parts if part.size)
-    reach = touch_radius(problem.setup)
-    return gripping(points, space.dim, is_bonded=pair.is_bonded, reach_mm=reach)
+    if not pair.is_bonded:
+        return (points,)
+    return gripping(points, space.dim, touch_radius(problem.setup))
 
 
 def meeting(

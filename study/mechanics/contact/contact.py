@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
 import scipy.sparse as sp
@@ -101,7 +100,6 @@ class ContactPoints:
     #: shape (n_points,); which decide for themselves only until another one touches: the corners of
     #: six-node triangles, and the node on the axis, a fifth of an edge from its first Gauss point.
     first_touch: Flags | None = None
-    _dofs: dict[int, Ints] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def size(self) -> int:
@@ -110,10 +108,8 @@ class ContactPoints:
 
     def dofs(self, dim: int) -> Ints:
         """Displacement unknowns of every point, shape (n_points, dim * k)."""
-        if dim not in self._dofs:
-            each = dim * self.nodes[:, :, None] + np.arange(dim)
-            self._dofs[dim] = np.asarray(each.reshape(self.size, -1))
-        return self._dofs[dim]
+        each = dim * self.nodes[:, :, None] + np.arange(dim)
+        return np.asarray(each.reshape(self.size, -1))
 
     def meet(self, nodes: Array, u: Array, displacement_mm: float) -> Meeting:
         """Where the points are at displacements ``u`` (n_nodes, dim), as seen by the surface."""
@@ -200,7 +196,7 @@ class ContactPoints:
 
     def stiffness(self, state: ContactState) -> Array:
         """Packed upper stiffness blocks, shape (n_points, m (m + 1) / 2)."""
-        rows, columns = _upper(state.direction.shape[1])
+        rows, columns = np.triu_indices(state.direction.shape[1])
         spring = self.weights * np.where(state.active, self.eps, 0.0)
         blocks = spring[:, None] * state.direction[:, rows] * state.direction[:, columns]
         if state.hessian.any():
@@ -211,12 +207,6 @@ class ContactPoints:
             a, i, b, j = rows // dim, rows % dim, columns // dim, columns % dim
             blocks = blocks - self.shape[:, a] * self.shape[:, b] * curved[:, i, j]
         return np.asarray(blocks)
-
-
-@cache
-def _upper(size: int) -> tuple[Ints, Ints]:
-    """Rows and columns of the upper triangle of a block, diagonal included."""
-    return np.triu_indices(size)
 
 
 @dataclass(frozen=True)
@@ -307,18 +297,14 @@ class TiedPoints(ContactPoints):
 _TIED_AREA = 0.01
 
 
-def gripping(
-    points: ContactPoints, dim: int, *, is_bonded: bool, reach_mm: float
-) -> tuple[ContactPoints, ...]:
-    """Points that meet an indenter, with a set of ties for every axis where it is bonded.
+def gripping(points: ContactPoints, dim: int, reach_mm: float) -> tuple[ContactPoints, ...]:
+    """Points that meet a bonded indenter, with a set of ties for every axis.
 
     The Gauss points of quadratic edges all miss one mode of the surface, in which corners and
     mid-sides move against each other. Only symmetry forbids it, through the points next to the
     axis, which stand for next to no area: they get the stiffness of more of it. With their own,
     two fifths of a gap were left by every iteration.
     """
-    if not is_bonded:
-        return (points,)
     least = _TIED_AREA * reach_mm**2
     eps = points.eps * np.maximum(1.0, least / points.weights)
     ties = (

@@ -65,18 +65,16 @@ def build_mesh(setup: Setup) -> Mesh:
     if seed is None:
         return mesh
     nodes, neighbors = _steps_allowed(mesh)
-    fixed = _at_edge(setup.grading, mesh)
-    if fixed is not None:
-        movable = ~fixed[nodes]
-        nodes, neighbors = nodes[movable], neighbors[movable]
+    movable = ~_at_edge(setup.grading, mesh)[nodes]
+    nodes, neighbors = nodes[movable], neighbors[movable]
     moved = _random_steps(mesh.points, nodes, neighbors, np.random.default_rng(seed))
     return replace(mesh, points=_tamed(mesh, moved))
 
 
-def _at_edge(grading: MeshGrading, mesh: Mesh) -> Flags | None:
+def _at_edge(grading: MeshGrading, mesh: Mesh) -> Flags:
     """Nodes that follow the edge of a flat end: they are part of what is modelled."""
     if not isinstance(grading, AroundContact) or not grading.indenter.has_face:
-        return None
+        return np.zeros(len(mesh.points), dtype=bool)
     ring = grading.indenter.face_radius_mm
     rho = np.linalg.norm(mesh.points[:, :-1], axis=1)
     on_top = mesh.points[:, -1] >= mesh.height_mm * (1 - 1e-9)

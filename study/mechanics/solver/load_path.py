@@ -231,10 +231,9 @@ class LoadPath:
         followed = (
             self._warm_steps if self._follows and self.options.curve_error is not None else ()
         )
-        added = [d for d in followed if d < steps[-1]]
         near = 1e-9 * self.system.mesh.height_mm
-        others = [d for d in added if min(abs(d - depth) for depth in steps) > near]
-        return sorted([*steps, *others])
+        apart = (d for d in followed if min(abs(d - depth) for depth in steps) > near)
+        return sorted([*steps, *(d for d in apart if d < steps[-1])])
 
     def _advance(self, target: float, halvings: int) -> bool:
         """Reach a displacement and write it down, in halves where energy does not add up."""

@@ -473,8 +473,6 @@ def body(surface: Enclosed) -> Body:
     """Read or make, check and stand up the surface of a specimen."""
     if isinstance(surface, Brain):
         return _made(surface)
-    if not isinstance(surface, Surface):
-        raise TypeError(f"no surface is known of {type(surface).__name__}")
     path = Path(surface.file)
     try:
         state = path.stat()
