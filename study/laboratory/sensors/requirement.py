@@ -156,19 +156,13 @@ def propagate(
             root[:] = np.pad(root.sum(axis=1, keepdims=True), ((0, 0), (0, root.shape[1] - 1)))
     variance = np.einsum("skn,skn->sk", effects, effects)
     gradient = predicted.jacobian[0]
-    force = np.einsum("k,skn->sn", gradient, effects)
-    return Propagation(
-        sources,
-        tuple(
-            PropagatedQuantity(name, unit, float(value), np.sqrt(variance[:, k]), sources)
-            for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
-        ),
-        PropagatedQuantity(
-            "force", "N", float(predicted.force_N[0]), np.linalg.norm(force, axis=1), sources
-        ),
-        pseudo_inverse,
-        gradient,
+    constants = tuple(
+        PropagatedQuantity(name, unit, float(value), np.sqrt(variance[:, k]), sources)
+        for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
     )
+    per_source = np.linalg.norm(np.einsum("k,skn->sn", gradient, effects), axis=1)
+    force = PropagatedQuantity("force", "N", float(predicted.force_N[0]), per_source, sources)
+    return Propagation(sources, constants, force, pseudo_inverse, gradient)
 
 
 #: Tests of one task, whatever the number of workers, so that this changes no digit.

@@ -138,13 +138,11 @@ def _outer_sides(mesh: DeformedMesh) -> Ints:
     number = np.repeat(np.arange(len(sides)), len(mesh.cells))
     alone, parts = outer(nodes), []
     for k in range(len(sides)):
-        part = alone[number[alone] == k]
-        owners = owner[part]
+        cells = mesh.cells[owner[alone[number[alone] == k]]]
         pieces = np.array(_pieces(mesh.kind, k))
-        split = np.asarray(mesh.cells[owners][:, pieces].reshape(-1, pieces.shape[1]))
-        centers = mesh.points[mesh.cells[owner[part], :corners]].mean(axis=1)
-        parts.append(_turned(mesh.points, split, np.repeat(centers, len(split) // max(len(part), 1),
-                                                           axis=0)))  # fmt: skip
+        split = np.asarray(cells[:, pieces].reshape(-1, pieces.shape[1]))
+        centers = mesh.points[cells[:, :corners]].mean(axis=1)
+        parts.append(_turned(mesh.points, split, np.repeat(centers, len(pieces), axis=0)))
     return np.concatenate(parts)
 
 

@@ -78,11 +78,9 @@ def _under_indenter(
         below = meeting(
             problem, space, mesh, Plane(touch, -1, 1.0, space.dim - 1), chosen, nodal=True
         )
-        parts = (
-            only(below, under[below.nodes].all(axis=1)),
-            only(points, ~under[points.nodes].all(axis=1)),
-        )
-        return tuple(part for part in parts if part.size)
+        inside = only(below, under[below.nodes].all(axis=1))
+        outside = only(points, ~under[points.nodes].all(axis=1))
+        return tuple(part for part in (inside, outside) if part.size)
     if not pair.is_bonded:
         return (points,)
     return gripping(points, space.dim, touch_radius(problem.setup))

@@ -65,11 +65,8 @@ class Plane:
         normal = np.zeros((n, dim))
         normal[:, self.axis] = self.sense
         shift = self.speed * displacement_mm if self.axis == dim - 1 else 0.0
-        return (
-            self.sense * (x[:, self.axis] - (self.level_mm - shift)),
-            normal,
-            np.zeros((n, dim, dim)),
-        )
+        gap = self.sense * (x[:, self.axis] - (self.level_mm - shift))
+        return gap, normal, np.zeros((n, dim, dim))
 
 
 #: a rigid obstacle that moves with the displacement of the test

@@ -174,13 +174,9 @@ def neo_hookean_start(
     model = _force_per_C10(setup, volume, np.asarray(displacement_mm, dtype=float))
     c10 = float(model @ force_N / (model @ model))
     if not np.isfinite(c10) or c10 <= 0:
-        raise InputError(
-            Fault(
-                "measurements",
-                "the measured force does not resist (wrong sign?)",
-                "check measurements.sign and the force column",
-            )
-        )
+        rule = "the measured force does not resist (wrong sign?)"
+        mend = "check measurements.sign and the force column"
+        raise InputError(Fault("measurements", rule, mend))
     return {"C10": c10}
 
 
@@ -193,15 +189,9 @@ def _force_per_C10(setup: Setup, volume: Compressibility, d: Array) -> Array:  #
     pressed = setup.test.indenter
     if pressed is None:
         return _elastic(setup, unit, d).force_N
-    nu = volume.poisson_ratio or 0.5
-    height = setup.height_mm
-    per_modulus = indentation(
-        pressed,
-        np.maximum(d, 0.0),
-        height_mm=np.inf if height is None else height,
-        poisson_ratio=nu,
-        bonded=setup.test.base == "bonded",
-    )
+    nu, height, bonded = volume.poisson_ratio or 0.5, setup.height_mm, setup.test.base == "bonded"
+    high, depth = np.inf if height is None else height, np.maximum(d, 0.0)
+    per_modulus = indentation(pressed, depth, height_mm=high, poisson_ratio=nu, bonded=bonded)
     # E = 4 (1 + nu) C10
     force = 4 * (1 + nu) * per_modulus
     if height is None or d.max(initial=0.0) >= height:

@@ -268,11 +268,8 @@ def read_curves(
         except InputError as error:
             faults += error.faults
             curves.append((recording, str(error)))
-            counts.append(
-                RowCount(
-                    recording.kinetic.size, 0, {"of unreadable curves": recording.kinetic.size}
-                )
-            )
+            rows = recording.kinetic.size
+            counts.append(RowCount(rows, 0, {"of unreadable curves": rows}))
             continue
         lines += did
         counts.append(test.specimen.count)

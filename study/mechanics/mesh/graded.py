@@ -64,14 +64,11 @@ def punched(specimen: Cylinder | Block, field: SizeField) -> tuple[Array, Ints]:
     depth = line_from(field.top_mm, partial(_below, field, field.ring_mm))
     core, rings = _rings(specimen, field, depth)
     beyond = _beyond(specimen, field, rings[0, -1])
-    plane = np.concatenate(
-        [
-            np.broadcast_to(core.reshape(-1, 2), (depth.size, core.size // 2, 2)),
-            rings[:, 1:].reshape(depth.size, -1, 2),
-            np.broadcast_to(beyond.reshape(-1, 2), (depth.size, beyond.size // 2, 2)),
-        ],
-        axis=1,
+    inside, outside = (
+        np.broadcast_to(part.reshape(-1, 2), (depth.size, part.size // 2, 2))
+        for part in (core, beyond)
     )
+    plane = np.concatenate([inside, rings[:, 1:].reshape(depth.size, -1, 2), outside], axis=1)
     quads = _quadrilaterals(len(core), rings.shape[1] - 1, beyond)
     points, cells = extrude(plane[0], quads, -depth[::-1])
     points[:, :2] = plane[::-1].reshape(-1, 2)
@@ -112,12 +109,8 @@ def _rings(specimen: Cylinder | Block, field: SizeField, depth: Array) -> tuple[
     lengths = np.hypot(*sides.T) - ring
     straight = _rays(lengths, partial(_beside, field, 0.0))
     steps = straight.shape[1] - 1
-    sizes = np.array(
-        [
-            [_even(length, steps, partial(_beside, field, down)) for length in lengths]
-            for down in depth
-        ]
-    )
+    at_depths = [partial(_beside, field, down) for down in depth]
+    sizes = np.array([[_even(length, steps, size) for length in lengths] for size in at_depths])
     outer = np.asarray((1 - _BENT) * straight + _BENT * sizes)
     inside = np.broadcast_to(ring - inner[:, ::-1], (depth.size, *inner.shape))
     radii = np.concatenate([inside, ring + outer[:, :, 1:]], axis=2).swapaxes(1, 2)

@@ -285,12 +285,8 @@ def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Ar
     angle = np.pi / 4 * inner / side
     angles = np.concatenate([angle, np.pi / 2 - angle[-2::-1]])
     rim = radius * np.sqrt(np.pi / 2 / np.sin(np.diff(angles)).sum())
-    border = np.concatenate(
-        [
-            np.column_stack([np.full(m + 1, side), inner]),
-            np.column_stack([inner[-2::-1], np.full(m, side)]),
-        ]
-    )
+    along_y, along_x = np.full(m + 1, side), np.full(m, side)
+    border = np.column_stack([np.r_[along_y, inner[-2::-1]], np.r_[inner, along_x]])
     rings = border + fraction[:, None, None] * (quarter_circle(rim, angles) - border)
     points = np.vstack([rectangle(inner, inner, "tensor")[0], rings.reshape(-1, 2)])
     return points, np.vstack(ringed(m + 1, fraction.size))
@@ -343,13 +339,8 @@ def extrude(plane: Array, faces: Ints, z: Array) -> tuple[Array, Ints]:
     a, b, c = np.sort(faces, axis=1).T
     # diagonals run from the lower-numbered foot to the higher-numbered head, so that
     # neighbouring prisms cut their common side alike
-    tetrahedra = np.stack(
-        [
-            np.stack([a, b, c, c + n], axis=-1),
-            np.stack([a, b, b + n, c + n], axis=-1),
-            np.stack([a, a + n, b + n, c + n], axis=-1),
-        ]
-    ).reshape(-1, 4)
+    parts = [[a, b, c, c + n], [a, b, b + n, c + n], [a, a + n, b + n, c + n]]
+    tetrahedra = np.concatenate([np.column_stack(corners) for corners in parts])
     return points, (tetrahedra[None] + shift).reshape(-1, 4)
 
 

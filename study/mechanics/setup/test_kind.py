@@ -610,11 +610,8 @@ class PlateMotion(Compression):
     def faces(self, test: Test) -> tuple[FaceCondition, ...]:
         """Prescribe every component above; the face below is held, or slides."""
         share = 1.0 / test.displacement_mm if test.displacement_mm else 0.0  # open for now
-        besides = test.motion or FaceMotion()
-        return (
-            FaceCondition("top", self.sense, True, besides=besides, share_per_mm=share),
-            FaceCondition("base", 0.0, test.base == "bonded"),
-        )
+        motion, (_, base) = test.motion or FaceMotion(), super().faces(test)
+        return FaceCondition("top", self.sense, True, besides=motion, share_per_mm=share), base
 
 
 #: every kind of test by its name in a file

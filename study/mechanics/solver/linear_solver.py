@@ -60,10 +60,8 @@ class SuperLU:
 
     def __init__(self, pattern: Pattern) -> None:
         n = pattern.free.size
-        upper = sp.csr_matrix(
-            (np.arange(1.0, pattern.indices.size + 1), pattern.indices, pattern.indptr),
-            shape=(n, n),
-        )
+        numbers = np.arange(1.0, pattern.indices.size + 1)
+        upper = sp.csr_matrix((numbers, pattern.indices, pattern.indptr), shape=(n, n))
         full = (upper + sp.triu(upper, 1).T).tocsc()
         full.sort_indices()
         self._source = full.data.astype(np.int64) - 1

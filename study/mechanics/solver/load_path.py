@@ -555,9 +555,8 @@ class LoadPath:
         if self.previous is None:
             return None
         last, before = self.state, self.previous
-        ratio = (displacement - last.displacement_mm) / (
-            last.displacement_mm - before.displacement_mm
-        )
+        here_mm = last.displacement_mm
+        ratio = (displacement - here_mm) / (here_mm - before.displacement_mm)
         if ratio > _FARTHEST:
             return None
         x = last.x + ratio * (last.x - before.x)
@@ -570,14 +569,11 @@ class LoadPath:
             return None
         step = self._warm_steps[near[0]]
         x, multipliers = step.state.x.copy(), list(step.state.multipliers)
+        now, then = self.problem.material.constants, self.warm.system.material.constants
         for name, rate in step.gradients.constants.items():
-            change = (
-                self.problem.material.constants[name] - self.warm.system.material.constants[name]
-            )
+            change, pairs = now[name] - then[name], zip(multipliers, rate.multipliers, strict=True)
             x += change * rate.x
-            multipliers = [
-                m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)
-            ]
+            multipliers = [m + change * r for m, r in pairs]
         held = self.system.held_against_wish(step.state)
         J = self.system.volume_ratios(step.state.x)
         return self._moved_to(State(target, x, tuple(multipliers)), held, J)

@@ -154,12 +154,9 @@ def _closed_points(
     for points, touch, target in zip(system.contact, assembly.contact, targets, strict=True):
         at = np.flatnonzero(touch.active)
         dofs, normals = points.dofs(system.space.dim)[at], touch.direction[at]
+        weights, eps = points.weights[at], points.eps[at, None]
         gaps, pressure = target[at], np.zeros((at.size, target.shape[1]))
-        blocks.append(
-            ClosedPoints(
-                at, dofs, normals, points.weights[at], points.eps[at, None], gaps, pressure
-            )
-        )
+        blocks.append(ClosedPoints(at, dofs, normals, weights, eps, gaps, pressure))
     return tuple(blocks)
 
 

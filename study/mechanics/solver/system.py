@@ -261,13 +261,8 @@ class System:
 
     def touching(self, state: State, sides: tuple[Flags, ...] = ()) -> list[ContactState]:
         """Contact at a state, with imposed active sets or as every point itself decides it."""
-        each = zip(
-            self.contact,
-            self._meetings(state),
-            state.multipliers,
-            sides or (None,) * len(self.contact),
-            strict=True,
-        )
+        imposed = sides or (None,) * len(self.contact)
+        each = zip(self.contact, self._meetings(state), state.multipliers, imposed, strict=True)
         return [p.evaluate(met, m, closed, state.glue) for p, met, m, closed in each]
 
     def held_against_wish(self, state: State) -> tuple[Flags, ...]:
@@ -297,12 +292,8 @@ class System:
         position = points.interpolated(self.space.nodes + self.displacements(state.x))
         # as seen from the indenter, which moves against the axis
         position[:, -1] += state.displacement_mm
-        moved = {
-            name: np.where(
-                new[:, None], points.interpolated(self.displacements(rate)), glue.rate(name)
-            )
-            for name, rate in rates.items()
-        }
+        moves = {n: points.interpolated(self.displacements(rate)) for n, rate in rates.items()}
+        moved = {n: np.where(new[:, None], rate, glue.rate(n)) for n, rate in moves.items()}
         pushed = [
             np.where(new, touch.pressure * normal[:, axis], tie.pressure)
             for axis, tie in enumerate(ties)
