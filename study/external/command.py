@@ -374,9 +374,8 @@ class PythonFunction:
             text = base64.b64encode(cloudpickle.dumps(function)).decode("ascii")
         except Exception as error:  # it may hold anything
             mend = "define it in a module, without open files or locks"
-            raise InputError(
-                Fault("forward", f"cannot go to a worker process: {error}", mend)
-            ) from error
+            rule = f"cannot go to a worker process: {error}"
+            raise InputError(Fault("forward", rule, mend)) from error
         return cls(text, version.strip())
 
     def __call__(self, case: Mapping[str, object]) -> object:

@@ -106,9 +106,7 @@ def at_points(
     try:
         with np.errstate(all="ignore"):
             places = np.minimum(displacement_mm, reached[-1])
-            gradient = {
-                k: spline_from_origin(reached, slope, places) for k, slope in gradients.items()
-            }
+            gradient = {k: spline_from_origin(reached, v, places) for k, v in gradients.items()}
             forces = spline_from_origin(reached, force, places)
         return PredictedCurve(Curve(displacement_mm, forces, force_gradient=gradient))
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:

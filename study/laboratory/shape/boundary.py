@@ -207,9 +207,8 @@ def _joined(points: Array, displacement: Array, triangles: Ints) -> BodySurface:
     group, first = joined(points, SAME_PLACE * size)
     cells = group[triangles]
     cells = cells[(cells != np.roll(cells, 1, axis=1)).all(axis=1)]
-    _, unique_index, count = np.unique(
-        np.sort(cells, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
+    rows = np.sort(cells, axis=1)
+    _, unique_index, count = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
     used, cells = np.unique(cells[count[unique_index.ravel()] == 1], return_inverse=True)
     cells = cells.reshape(-1, 3)
     count = Edges.of(cells).count

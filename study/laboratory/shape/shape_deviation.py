@@ -246,10 +246,7 @@ def _check_state(body: SimulatedBody, scan: Scan, distance: float, start: RigidM
     moved = float(np.linalg.norm(body.body.displacement, axis=1).max())
     if min(moved, distance) < RESOLUTION_SHARE * size:
         return
-    others = {
-        share: coarse_registration(body.at(share), scan.points, [start])[0]
-        for share in OTHER_STATES
-    }
+    others = {s: coarse_registration(body.at(s), scan.points, [start])[0] for s in OTHER_STATES}
     share, least = min(others.items(), key=lambda pair: pair[1])
     if least < CLEARLY_BETTER * distance:
         state = "the body at rest" if share == 0 else f"{100 * share:g} % of the displacement"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -131,10 +132,8 @@ def analyze_displacement(
 
 def _straight(places: Array, commanded_mm: Array) -> tuple[Array, Array, Array]:
     """Axis of the straight line through stops, places along it, and distances from it, mm."""
-    if np.unique(commanded_mm).size < 3:
-        rule = (
-            f"there are {np.unique(commanded_mm).size} commanded positions, a line needs 3 or more"
-        )
+    if (count := np.unique(commanded_mm).size) < 3:
+        rule = f"there are {count} commanded positions, a line needs 3 or more"
         raise InputError(Fault("displacement.commanded", rule, "stop at more positions"))
     away = places - places.mean(axis=0)
     axis = np.linalg.svd(away, full_matrices=False)[2][0]
@@ -388,9 +387,7 @@ def _blocks(visit: Visit, samples: Array) -> tuple[Visit, ...]:
     if count < FEWEST_FOR_DRIFT:
         return (visit,)
     ends = np.linspace(visit.begin, visit.end, count + 1).astype(int)
-    return tuple(
-        Visit(visit.stage, int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)
-    )
+    return tuple(Visit(visit.stage, int(a), int(b)) for a, b in pairwise(ends))
 
 
 def _bias(
@@ -639,11 +636,8 @@ def _left_out(moving: Array, fixed: Array) -> Array:
 
 def _check_axes(origin: Array, further: list[Array], poses: tuple[str, ...], where: str) -> None:
     """Refuse three points of the body that lie on a line in some pose."""
-    lines = [
-        pose
-        for pose, *points in zip(poses, origin, *further, strict=True)
-        if on_a_line(np.array(points))
-    ]
+    bodies = zip(poses, origin, *further, strict=True)
+    lines = [pose for pose, *points in bodies if on_a_line(np.array(points))]
     if lines:
         rule = f"the three points on the body lie on a line at: {', '.join(lines[:5])}"
         mend = "name other columns in [reference] axes: two points off the line through the first"
@@ -667,9 +661,8 @@ def _lever_arm(
     errors = []
     for k in range(n):
         others = np.arange(n) != k
-        arm_without, own_arm, _, _ = _with_arm(
-            moving[others], fixed[others], turned[others], motion
-        )
+        poses = moving[others], fixed[others], turned[others]
+        arm_without, own_arm, _, _ = _with_arm(*poses, motion)
         errors.append(arm_without(moving[k : k + 1])[0] - fixed[k] - turned[k] @ own_arm)
     rotations = Rotation.from_matrix(turned)
     angles = (rotations.mean().inv() * rotations).magnitude()
@@ -703,7 +696,6 @@ def _with_arm(
     settled(solution, "position of the reference")
     squares = float((solution.fun**2).sum())
     freedom = max(solution.fun.size - 9, 1)
-    covariance = (
-        np.linalg.pinv(solution.jac.T @ solution.jac, rcond=1e-14)[6:, 6:] * squares / freedom
-    )
+    inverse = np.linalg.pinv(solution.jac.T @ solution.jac, rcond=1e-14)[6:, 6:]
+    covariance = inverse * squares / freedom
     return motion_of(solution.x), np.asarray(solution.x[6:]), covariance, squares

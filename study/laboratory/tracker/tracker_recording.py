@@ -335,9 +335,7 @@ def _check_lost(points: Array, where: str) -> None:
 def _check_exchanged(positions: Mapping[str, Array], table: CsvTable) -> None:
     """Refuse markers that each go to where the other one was, from one row to the next."""
     for (first, a), (second, b) in combinations(positions.items(), 2):
-        alone = np.linalg.norm(np.diff(a, axis=0), axis=1) + np.linalg.norm(
-            np.diff(b, axis=0), axis=1
-        )
+        alone = sum(np.linalg.norm(np.diff(places, axis=0), axis=1) for places in (a, b))
         crossed = np.linalg.norm(a[1:] - b[:-1], axis=1) + np.linalg.norm(b[1:] - a[:-1], axis=1)
         rows = np.flatnonzero(crossed < _EXCHANGED * alone) + 1
         if rows.size:

@@ -75,9 +75,8 @@ def _under_indenter(
     if pair.indenter.is_sharp_edged:
         rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
         under = rho <= pair.indenter.face_radius_mm * (1 + _SAME)
-        below = meeting(
-            problem, space, mesh, Plane(touch, -1, 1.0, space.dim - 1), chosen, nodal=True
-        )
+        face = Plane(touch, -1, 1.0, space.dim - 1)
+        below = meeting(problem, space, mesh, face, chosen, nodal=True)
         inside = only(below, under[below.nodes].all(axis=1))
         outside = only(points, ~under[points.nodes].all(axis=1))
         return tuple(part for part in (inside, outside) if part.size)

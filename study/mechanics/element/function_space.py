@@ -126,10 +126,8 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
     if stretched and simplex and not axisymmetric and model.element_order == "quadratic":
         rule = _STRETCHED_RULE
     basis = basis_of(mesh, model, rule)
-    ne, nq = basis.dx.shape
-    gradients = np.stack(
-        [np.broadcast_to(b[0].grad, (mesh.points.shape[1], ne, nq)) for b in basis.basis]
-    )
+    dim, (ne, nq) = mesh.points.shape[1], basis.dx.shape
+    gradients = np.stack([np.broadcast_to(b[0].grad, (dim, ne, nq)) for b in basis.basis])
     values = np.stack([np.broadcast_to(np.asarray(b[0]), (ne, nq)) for b in basis.basis])
     # one memory layout in both spaces: another would be compiled a second time
     weights, hoop = np.array(basis.dx), np.zeros((ne, nq, 1))
@@ -140,7 +138,6 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
     element_nodes = basis.element_dofs.T.astype(np.int64)
     nodes = np.array(basis.doflocs.T)
     pressure_shape, pressure_dofs = pressure_of(basis, model)
-    dim = mesh.points.shape[1]
     displacement = (dim * element_nodes[:, :, None] + np.arange(dim)).reshape(ne, -1)
     n_u = int(dim * len(nodes))
     n_p = int(pressure_dofs.max()) + 1 if pressure_dofs.size else 0
@@ -188,9 +185,8 @@ def basis_of(mesh: Mesh, model: Model, order: int) -> Any:
     stem = {"axisymmetric": ("Tri", "Quad"), "3d": ("Tet", "Hex")}[model.space][not simplex]
     if stem == "Hex":
         cells = cells[:, _HEX_ORDER]
-    fem_mesh = getattr(skfem, f"Mesh{stem}")(
-        np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(cells.T)
-    )
+    points, corners = (np.ascontiguousarray(rows.T) for rows in (mesh.points, cells))
+    fem_mesh = getattr(skfem, f"Mesh{stem}")(points, corners)
     degree = "2" if model.element_order == "quadratic" else "1"
     bubbles = simplex and degree == "1" and model.formulation == "mixed"
     if simplex:

@@ -9,7 +9,7 @@ which is the depth at which a half-space is touched up to the radius t.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -290,9 +290,8 @@ def force_law(
         if not isinstance(indenter, Sphere):
             raise ValueError(f"the published series is for spheres, got {indenter}")
         return _by_series(indenter, layer, deepest_mm)
-    support = (
-        layer if theory == "integral-equation" else Layer(np.inf, layer.poisson_ratio, layer.bonded)
-    )
+    half_space = replace(layer, height_mm=np.inf)
+    support = layer if theory == "integral-equation" else half_space
     radii = _radii(indenter, support, deepest_mm, paraboloid)
     states = [contact_state(support, indenter, a, paraboloid=paraboloid) for a in radii]
     if isinstance(indenter, Flat) and indenter.is_sharp_edged:

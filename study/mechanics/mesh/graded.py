@@ -187,9 +187,8 @@ def _depths(plane: Array, depth: Array, field: SizeField) -> Array:
     column = rho / rho.max() * (_COLUMNS - 1)
     low = np.minimum(column.astype(int), _COLUMNS - 2)
     part = (column - low)[:, None]
-    return np.asarray(
-        (1 - _BENT) * depth + _BENT * ((1 - part) * depths[low] + part * depths[low + 1])
-    )
+    between = (1 - part) * depths[low] + part * depths[low + 1]
+    return np.asarray((1 - _BENT) * depth + _BENT * between)
 
 
 def _even(length: float, steps: int, size: Size) -> Array:
@@ -270,10 +269,8 @@ def _grid(setup: Setup, field: SizeField) -> tuple[Array, Ints]:
 
 def grid_sizes(setup: Setup, field: SizeField) -> tuple[Size, Size]:
     """Sizes of a grid along the top, and along the axis by the depth."""
-    contact = _indented(setup)[1]
-    wide, tall = (
-        UNDER_CONE[setup.model.element_order] if contact.indenter.is_pointed else (1.0, 1.0)
-    )
+    pointed = _indented(setup)[1].indenter.is_pointed
+    wide, tall = UNDER_CONE[setup.model.element_order] if pointed else (1.0, 1.0)
 
     def along_top(rho: Array) -> Array:
         return wide * field.at(rho, field.top_mm)

@@ -81,9 +81,8 @@ def edges_and_facets(kind: str) -> tuple[list[tuple[int, ...]], list[tuple[int, 
 
 def outer(facets: Ints) -> Ints:
     """Places, in a list of all cells' facets, of those that belong to one cell alone."""
-    _, first, count = np.unique(
-        np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True
-    )
+    rows = np.sort(facets, axis=1)
+    _, first, count = np.unique(rows, axis=0, return_index=True, return_counts=True)
     return np.asarray(first[count == 1])
 
 

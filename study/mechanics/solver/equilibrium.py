@@ -209,9 +209,8 @@ def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, .
     if space.dim < 3 or mesh.is_whole or system.material.small_strain or critical is None:
         return None
     shortened = setup.test.depth_mm / mesh.height_mm
-    if shortened + weight_strain(setup.test, mesh.height_mm, system.material.mu0) < (
-        SUSPICIOUS * critical
-    ):
+    shortened += weight_strain(setup.test, mesh.height_mm, system.material.mu0)
+    if shortened < SUSPICIOUS * critical:
         return None
     width = getattr(setup.specimen, "width_mm", 0.0)
     axis = 1 if width > getattr(setup.specimen, "depth_mm", width) else 0
@@ -494,9 +493,8 @@ def contact_figures(
         area += float((points.weights * stretched)[closed].sum())
         members = np.isin(space.facets, points.nodes).all(axis=1)
         facets = space.facets[members & np.isin(space.facets, points.nodes[closed]).any(axis=1)]
-        amid = np.isin(facets, np.setdiff1d(points.nodes[closed], points.nodes[~closed])).all(
-            axis=1
-        )
+        inner_nodes = np.setdiff1d(points.nodes[closed], points.nodes[~closed])
+        amid = np.isin(facets, inner_nodes).all(axis=1)
         k = facets.shape[1]
         inner = [] if dim == 2 and k == 3 else [_MIDDLE[k]]  # such an edge has a node there
         for local in (*np.eye(k), *inner):

@@ -373,9 +373,7 @@ class Fields:
             return values * tensor if columns == 9 else values
 
         moved = np.concatenate([self.displacement, (self.displacement * sign)[beyond]])
-        nodal = {
-            name: np.concatenate([v, image(name, v)[beyond]]) for name, v in self.nodal.items()
-        }
+        nodal = {n: np.concatenate([v, image(n, v)[beyond]]) for n, v in self.nodal.items()}
         shared = np.setdiff1d(np.arange(len(self.points)), beyond)
         force = self.nodal["reaction_N"][shared]
         nodal["reaction_N"][shared] += image("reaction_N", force)

@@ -215,9 +215,8 @@ class Internal:
         without_pressure = x.copy()
         without_pressure[self.space.n_displacement :] = 0.0
         uneven = self._unevenness(material, material.mu0_gradient()[name])
-        self._elements(
-            without_pressure, _element_energy(material.law_rate(name), BulkSplit(0.0, 0.0), uneven)
-        )
+        energy = _element_energy(material.law_rate(name), BulkSplit(0.0, 0.0), uneven)
+        self._elements(without_pressure, energy)
         out = self.gathered()
         out[self.space.n_displacement :] = 0.0
         return out + self._volume_derivative(material, x, name)

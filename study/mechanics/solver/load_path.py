@@ -228,9 +228,8 @@ class LoadPath:
         """
         test = self.problem.test
         steps = [test.depth_mm * k / test.steps for k in range(1, test.steps + 1)]
-        followed = (
-            self._warm_steps if self._follows and self.options.curve_error is not None else ()
-        )
+        is_refined = self.options.curve_error is not None
+        followed = self._warm_steps if self._follows and is_refined else ()
         near = 1e-9 * self.system.mesh.height_mm
         apart = (d for d in followed if min(abs(d - depth) for depth in steps) > near)
         return sorted([*steps, *(d for d in apart if d < steps[-1])])
@@ -403,9 +402,8 @@ class LoadPath:
     def _halfway(self, left: State, right: State, displacement: float) -> NewtonResult | None:
         """Equilibrium near the mean of two states; None where there is none nearby."""
         J = self.system.volume_ratios(left.x)
-        multipliers = [
-            0.5 * (m + n) for m, n in zip(left.multipliers, right.multipliers, strict=True)
-        ]
+        pairs = zip(left.multipliers, right.multipliers, strict=True)
+        multipliers = [0.5 * (m + n) for m, n in pairs]
         sides = (self.system.held_against_wish(state) for state in (left, right))
         held = tuple(a & b for a, b in zip(*sides, strict=True))
         mean = State(displacement, 0.5 * (left.x + right.x), tuple(multipliers))

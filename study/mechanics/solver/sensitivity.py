@@ -218,9 +218,8 @@ def step_gradients(
     system: System, state: State, assembly: Assembly, *, parameters: tuple[str, ...]
 ) -> StepGradients:
     """Force, tangent stiffness and derivatives at a converged state just assembled."""
-    free = (
-        _free(system.material, parameters) if system.weight is None and not system.sticks else None
-    )
+    scales = system.weight is None and not system.sticks
+    free = _free(system.material, parameters) if scales else None
     solved = tuple(name for name in parameters if name != free)
     loads = _loads(system, state, assembly, solved)
     tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
@@ -267,10 +266,8 @@ def _by_euler(
     for name, modulus in moduli.items():
         force_N -= modulus * slopes[name]
         x -= modulus * by[name].x
-        pressures = [
-            pressure - modulus * rate
-            for pressure, rate in zip(pressures, by[name].multipliers, strict=True)
-        ]
+        pairs = zip(pressures, by[name].multipliers, strict=True)
+        pressures = [pressure - modulus * rate for pressure, rate in pairs]
     return force_N / size, Rate(x / size, tuple(pressure / size for pressure in pressures))
 
 

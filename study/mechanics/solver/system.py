@@ -288,16 +288,14 @@ class System:
         if (glue := state.glue) is None:
             return state
         points, (touch, *ties) = self.contact[0], assembly.contact
-        new, normal = touch.active, touch.normal()
+        new = touch.active
         position = points.interpolated(self.space.nodes + self.displacements(state.x))
         # as seen from the indenter, which moves against the axis
         position[:, -1] += state.displacement_mm
         moves = {n: points.interpolated(self.displacements(rate)) for n, rate in rates.items()}
         moved = {n: np.where(new[:, None], rate, glue.rate(n)) for n, rate in moves.items()}
-        pushed = [
-            np.where(new, touch.pressure * normal[:, axis], tie.pressure)
-            for axis, tie in enumerate(ties)
-        ]
+        pushes = zip(touch.pressure * touch.normal().T, ties, strict=True)
+        pushed = [np.where(new, push, tie.pressure) for push, tie in pushes]
         held = Glue(glue.held | new, np.where(new[:, None], position, glue.anchor), moved)
         free = np.where(new, 0.0, touch.pressure)
         return replace(state, glue=held, multipliers=(free, *pushed))
