@@ -558,7 +558,11 @@ def analyze_reference(
     turned = None
     if declared.axes is not None:
         further = [factor * coordinates(table, axis)[rows] for axis in declared.axes]
-        _check_axes(fixed, further, poses, declared.file)
+        bodies = zip(poses, fixed, *further, strict=True)
+        if lines := [pose for pose, *points in bodies if on_a_line(np.array(points))]:
+            rule = f"the three points on the body lie on a line at: {', '.join(lines[:5])}"
+            mend = "name other columns in [reference] axes: two points off the line through the "
+            raise InputError(Fault(f"{declared.file}: axes", rule, f"{mend}first"))
         second = further[1]
         x = further[0] - fixed
         x /= np.linalg.norm(x, axis=1, keepdims=True)
@@ -632,16 +636,6 @@ def _left_out(moving: Array, fixed: Array) -> Array:
         motion = fit_pairs(np.delete(moving, k, 0), np.delete(fixed, k, 0), "reference").motion
         errors.append(np.linalg.norm(motion(moving[k : k + 1])[0] - fixed[k]))
     return np.array(errors)
-
-
-def _check_axes(origin: Array, further: list[Array], poses: tuple[str, ...], where: str) -> None:
-    """Refuse three points of the body that lie on a line in some pose."""
-    bodies = zip(poses, origin, *further, strict=True)
-    lines = [pose for pose, *points in bodies if on_a_line(np.array(points))]
-    if lines:
-        rule = f"the three points on the body lie on a line at: {', '.join(lines[:5])}"
-        mend = "name other columns in [reference] axes: two points off the line through the first"
-        raise InputError(Fault(f"{where}: axes", rule, mend))
 
 
 def _lever_arm(

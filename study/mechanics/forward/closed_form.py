@@ -133,8 +133,8 @@ def between_rows(setup: Setup, material: Material, displacement_mm: Array) -> Cu
     node, weight = gauss_points(_PLACES)
     begin, width = np.append(0.0, d)[:-1], np.diff(d, prepend=0.0)
     inside = begin[:, None] + width[:, None] * (1 + node) / 2
-    asked = np.concatenate([d, first, second, inside.ravel()])
-    rows_needed, inverse = np.unique(asked, return_inverse=True)
+    places = np.concatenate([d, first, second, inside.ravel()])
+    rows_needed, inverse = np.unique(places, return_inverse=True)
     every = at_rows(setup, material, Curve(rows_needed, np.empty(0)))
     force, first_force, two, along = np.split(every.force_N[inverse], d.size * np.arange(1, 4))
     # at the unloaded end a parabola through two places ahead, else both neighbors
