@@ -29,7 +29,7 @@ from study.execution.local import Loky
 from study.harness.design.load import load_design
 from study.harness.runner.batch import manifest_of, run_batch
 from study.harness.runner.expansion import expand
-from study.mechanics.forward.closed_form import compression
+from study.mechanics.forward.closed_form import homogeneous
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.record.store import Store
@@ -236,7 +236,7 @@ def write_measurements(path: Path) -> None:
             constants = {"C10": c10, "C20": 0.03 * c10, "C30": 0.002 * c10}
             material = Material("yeoh", constants, poisson_ratio=0.4995)
             d = np.linspace(0.0, 0.62 * HEIGHT_MM, ROWS)
-            force = compression(Cylinder(RADIUS_MM, HEIGHT_MM), material, d).force_N
+            force = homogeneous(Cylinder(RADIUS_MM, HEIGHT_MM), material, d).force_N
             for repeat in range(REPEATS):
                 drift = np.cumsum(random.standard_normal(ROWS)) * 2e-4 * force.max()
                 seen = force * (1 + 0.01 * random.standard_normal()) + drift

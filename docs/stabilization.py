@@ -49,7 +49,7 @@ def energies(found: Solution) -> tuple[float, float]:
     J = whole.internal.volume_ratios(GEL, x)
     isochoric = GEL.mu0 / 2 * (J ** (-2 / 3) * np.einsum("ijeq,ijeq->eq", F, F) - 3)
     mean = (w * J).sum(axis=1, keepdims=True) / w.sum(axis=1, keepdims=True)
-    local = whole.internal.pointwise_bulk(GEL) / 2 * (J - 1) ** 2
+    local = whole.internal.split(GEL).local / 2 * (J - 1) ** 2
     uneven = whole.internal.evenness * GEL.mu0 / 4 * (J - mean) ** 4
     stored = float((w * isochoric).sum())
     return float((w * local).sum()) / stored, float((w * uneven).sum()) / stored

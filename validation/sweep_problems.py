@@ -105,7 +105,7 @@ def pieces(problem: Problem) -> int:
     test, usual = problem.test, StepSettings()
     settings = replace(usual, sticking=usual.held_face)
     specimen: Any = problem.specimen
-    rule = problem.setup.step_rule(settings, specimen.height_mm)
+    rule = problem.setup.kind.steps(problem.test, specimen.height_mm, settings)
     length = test.depth_mm / test.steps
     depths = length * np.arange(1, test.steps + 1)
     return int(sum(math.ceil(length / rule.largest_mm(float(d)) - 1e-9) for d in depths))

@@ -96,7 +96,7 @@ class SolvedProblem(Shown, Keyed, Solution):
                 "mismatch": energy.mismatch,
                 "snaps_mm": energy.jumps_mm,
             },
-            **self.equilibria.to_json(),
+            **self.equilibria.keyed(),
             "mesh_hash": self.mesh_hash,
             "mesh_size_mm": self.mesh_size_mm,
         }

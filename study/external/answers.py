@@ -398,18 +398,9 @@ def quantity_in(value: object, unit: str, where: str) -> float:
         try:
             float(value)  # beyond the largest number, or none, as it may be
         except ValueError:
-            return _of_text(value, unit, where)
-    return _number(value, where)
-
-
-def _of_text(value: str, unit: str, where: str) -> float:
-    """Read the number of a text that has a unit as well."""
-    try:
-        number, written = units.split(value)
-    except UnitError:
-        return _number(value, where)
-    if math.isfinite(number):
-        return _number(converted(number, written, unit, where), where)
+            with contextlib.suppress(UnitError):  # no quantity, and no number either
+                number, written = units.split(value)
+                return _number(converted(number, written, unit, where), where)
     return _number(value, where)
 
 

@@ -77,10 +77,8 @@ class Ended:
 
     #: Return code, negative for a signal; None where it was ended.
     code: int | None
-    output: str = ""
-    #: Its first ones, of which there may be fewer.
+    #: The first and the last characters that it said, of which there may be fewer.
     beginning: str = ""
-    #: More of the last ones.
     log: str = ""
     #: Which limit but that of time it was ended for; empty for none.
     excess: str = ""
@@ -163,8 +161,7 @@ def _watched(
             excess = "" if code else "the process that supervised it was killed"
             break
     first, last = head.decode(errors="replace"), tail.decode(errors="replace")
-    ended = int(code) if code else None
-    return Ended(ended, last[-TAIL:], first[:TAIL], last[-LOG:], excess)
+    return Ended(int(code) if code else None, first[:TAIL], last[-LOG:], excess)
 
 
 def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
@@ -327,7 +324,7 @@ def _step(
     ended = run([path, *argv[1:]], folder, limit, environment=_environment(argv, contents))
     if ended.excess:
         raise NoAnswer("failed", f"{argv[0]}: was ended, for {ended.excess}")
-    return {"argv": list(argv), "code": ended.code, "output": ended.output}, ended.log
+    return {"argv": list(argv), "code": ended.code, "output": ended.log[-TAIL:]}, ended.log
 
 
 def _check(step: StepDocument, command: ForwardModel) -> None:
@@ -377,9 +374,8 @@ class PythonFunction:
             text = base64.b64encode(cloudpickle.dumps(function)).decode("ascii")
         except Exception as error:  # it may hold anything
             mend = "define it in a module, without open files or locks"
-            raise InputError(
-                Fault("forward", f"cannot go to a worker process: {error}", mend)
-            ) from error
+            rule = f"cannot go to a worker process: {error}"
+            raise InputError(Fault("forward", rule, mend)) from error
         return cls(text, version.strip())
 
     def __call__(self, case: Mapping[str, object]) -> object:
@@ -404,7 +400,7 @@ class PythonFunction:
                       if k in returned}  # fmt: skip
             returned = {k: v for k, v in returned.items() if k not in values}
         columns = _python_function_columns(cast("ArrayLike", returned), displacement_mm)
-        return replace(at_points(columns, displacement_mm, {}), values=values)
+        return replace(at_points(columns, displacement_mm), values=values)
 
     def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> PredictedCurve:
         """Values of parameters alone, or the curve; a value has the unit of its response."""
@@ -538,17 +534,12 @@ class External:
         # Shapes: displacement_mm (n,).
         section = self.section
 
-        def read(folder: Path, text: str) -> PredictedCurve:
-            values = values_of_files(section.values, folder, text)
+        def read(folder: Path) -> PredictedCurve:
             if section.curve is None:
-                curve = curve_answered(folder, displacement_mm, section.reaches)
-            else:
-                given = curve_of(section.curve, folder)
-                columns = {
-                    DISPLACEMENT: given.displacement_mm, FORCE: given.force_N
-                }  # fmt: skip
-                curve = at_points(columns, displacement_mm, {}, section.reaches)
-            return replace(curve, values=values)
+                return curve_answered(folder, displacement_mm, section.reaches)
+            given = curve_of(section.curve, folder)
+            columns = {DISPLACEMENT: given.displacement_mm, FORCE: given.force_N}
+            return at_points(columns, displacement_mm, section.reaches)
 
         def call(function: PythonFunction) -> PredictedCurve:
             return function.solve(request, displacement_mm, section.units)
@@ -559,11 +550,9 @@ class External:
         """Ask for the values and the curve of parameters alone, responses in their units."""
         section = self.section
 
-        def read(folder: Path, text: str) -> PredictedCurve:
-            values = values_of_files(section.values, folder, text)
-            if section.curve is None:
-                return PredictedCurve(values=values)
-            return PredictedCurve(curve_of(section.curve, folder), values=values)
+        def read(folder: Path) -> PredictedCurve:
+            curve = section.curve
+            return PredictedCurve() if curve is None else PredictedCurve(curve_of(curve, folder))
 
         def call(function: PythonFunction) -> PredictedCurve:
             return function.values(case, {**units, **section.units})
@@ -575,10 +564,15 @@ class External:
         call: Callable[[PythonFunction], PredictedCurve],
         context: Callable[[], Mapping[str, object]],
         file: tuple[str, Mapping[str, object]],
-        read: Callable[[Path, str], PredictedCurve],
+        read: Callable[[Path], PredictedCurve],
     ) -> PredictedCurve:
         """Call the function, or run the commands with their templates and the file of the case."""
         began, section = time.perf_counter(), self.section
+
+        def all_read(folder: Path, text: str) -> PredictedCurve:
+            values = values_of_files(section.values, folder, text)
+            return replace(read(folder), values=values)
+
         if section.model == "python":
             if self.function is None:
                 raise NoAnswer("failed", "no function was given: study.run(..., forward=f)")
@@ -587,7 +581,7 @@ class External:
             return replace(answer, solver=solver, seconds=time.perf_counter() - began)
         contents, rendered = self.rendered(context())
         contents[file[0]] = json.dumps(file[1], indent=1)
-        answer = run_commands(section, contents, read, self.digest)
+        answer = run_commands(section, contents, all_read, self.digest)
         return replace(answer, seconds=time.perf_counter() - began, rendered=rendered)
 
     def rendered(self, case: Mapping[str, object]) -> tuple[dict[str, str], dict[str, str]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
@@ -83,14 +83,15 @@ def curve_answered(folder: Path, displacement_mm: Array, reaches: bool = True) -
     names = (DISPLACEMENT, FORCE, *(name for name in header if name.startswith(GRADIENT)))
     columns = {name: column_of(header, rows, name, CURVE_FILE) for name in names}
     facts = _facts(read_text(folder, FACTS_FILE)) if os.path.lexists(folder / FACTS_FILE) else {}
-    return at_points(columns, displacement_mm, facts, reaches)
+    predicted = at_points(columns, displacement_mm, reaches)
+    if not any(facts.values()):
+        return predicted
+    mesh: MeshDocument = {"dofs": facts.get("dofs", 0), "elements": facts.get("elements", 0)}
+    return replace(predicted, mesh=mesh)
 
 
 def at_points(
-    columns: Mapping[str, Array],
-    displacement_mm: Array,
-    facts: Mapping[str, int],
-    reaches: bool = True,
+    columns: Mapping[str, Array], displacement_mm: Array, reaches: bool = True
 ) -> PredictedCurve:
     """Curve of some columns at the displacements asked for."""
     # Shapes: columns (m,), MPa; displacement_mm (n,).
@@ -105,17 +106,11 @@ def at_points(
     try:
         with np.errstate(all="ignore"):
             places = np.minimum(displacement_mm, reached[-1])
-            gradient = {
-                k: spline_from_origin(reached, slope, places) for k, slope in gradients.items()
-            }
+            gradient = {k: spline_from_origin(reached, v, places) for k, v in gradients.items()}
             forces = spline_from_origin(reached, force, places)
-        curve = Curve(displacement_mm, forces, force_gradient=gradient)
+        return PredictedCurve(Curve(displacement_mm, forces, force_gradient=gradient))
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
-    mesh: MeshDocument = {}
-    if any(facts.values()):
-        mesh = {"dofs": facts.get("dofs", 0), "elements": facts.get("elements", 0)}
-    return PredictedCurve(curve, mesh)
 
 
 def _facts(text: str) -> dict[str, int]:

@@ -248,8 +248,8 @@ class ForwardFiles:
         """Plain values of what a kind of forward model has."""
         if model == "command":
             return {"programs": dict(self.programs), "contents": dict(self.contents)}
-        given = {"function": self.function, "function_version": self.function_version}
-        return dict(given) if self.function else {}
+        named = {"function": self.function, "function_version": self.function_version}
+        return {**named} if self.function else {}
 
 
 @section

@@ -12,7 +12,6 @@ from study.external.forward_model import ForwardCell, PlacedFile
 from study.ground.canonical import Json, canonical, digest, hashed
 from study.ground.declaration import document_of, field_named, section_of, table_of, values_of
 from study.ground.errors import Fault, InputError
-from study.mechanics.setup import setup
 from study.mechanics.setup.geometry import (
     INDENTERS,
     SPECIMENS,
@@ -188,8 +187,7 @@ class CellProblem(ForwardCell):
     @property
     def is_homogeneous(self) -> bool:
         """Whether the deformation is the same everywhere: compression, both faces frictionless."""
-        # The closed form is then exact, and space, mesh, order and element shape cannot matter.
-        return setup.is_homogeneous(self.test, self.specimen.shape)
+        return self.setup.is_homogeneous
 
     @property
     def has_closed_form(self) -> bool:

@@ -71,7 +71,7 @@ def data(folder, specimens=1):
     lines = ["mix,d_mm,f_N"]
     for k in range(specimens):
         material = Material("neo-hookean", {"C10": 8e-3 * (1 + 0.1 * k)}, poisson_ratio=0.4995)
-        force = closed_form.compression(SPECIMEN, material, d).force_N
+        force = closed_form.homogeneous(SPECIMEN, material, d).force_N
         noisy = force + 0.01 * random.standard_normal(d.size)
         lines += [f"{k},{x:.4f},{f:.10f}" for x, f in zip(d, noisy, strict=True)]
     (folder / "tests.csv").write_text("\n".join(lines) + "\n")

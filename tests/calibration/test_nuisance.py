@@ -107,7 +107,7 @@ def test_offset_and_zero_of_a_test_are_found(tmp_path, capsys):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2)
     d = np.linspace(0.0, 8.6, 173)
     material = Material("reduced-polynomial", RP2, poisson_ratio=0.4995)
-    force = closed_form.compression(SPECIMEN, material, d + 0.3).force_N + 0.2
+    force = closed_form.homogeneous(SPECIMEN, material, d + 0.3).force_N + 0.2
     force += 0.02 * np.random.default_rng(7).normal(size=d.size)
     rows = "".join(f"A,0,{x:.6f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
     (tmp_path / "a.csv").write_text("s,r,d,f\n" + rows, encoding="utf-8")
@@ -155,7 +155,7 @@ def test_friction_between_two_plates_is_the_mixture_of_both(tmp_path):
     bonded = api.solve(tmp_path / "problem.toml").curve
     d = bonded.displacement_mm
     material = Material("neo-hookean", {"C10": 7e-3}, poisson_ratio=0.4995)
-    free = closed_form.compression(SPECIMEN, material, d).force_N
+    free = closed_form.homogeneous(SPECIMEN, material, d).force_N
     force = 0.7 * free + 0.3 * bonded.force_N
     force = force + 0.01 * np.random.default_rng(7).normal(size=d.size)
     rows = "".join(f"A,0,{x:.6f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
@@ -185,7 +185,7 @@ def test_coverage_is_92_to_98_percent(tmp_path):
     for _ in range(studies):
         offset, zero, radius = rng.normal(size=3) * [0.1, 0.1, 0.1]
         specimen = Cylinder(25.0 + radius, 30.0)
-        force = closed_form.compression(specimen, material, d + offset).force_N + zero
+        force = closed_form.homogeneous(specimen, material, d + offset).force_N + zero
         force = force + 0.1 * rng.normal(size=d.size)
         rows = "".join(f"A,0,{x:.6f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
         (tmp_path / "a.csv").write_text("s,r,d,f\n" + rows, encoding="utf-8")

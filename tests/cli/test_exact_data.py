@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import study as public
-from study.mechanics.forward.closed_form import compression
+from study.mechanics.forward.closed_form import homogeneous
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Block, Cone
 from study.mechanics.setup.setup import Model, Problem
@@ -39,7 +39,7 @@ def write_specimen(folder, number, c10):
     d = np.linspace(0.0, 2.0, 201)
     write(folder / f"indentation-{number}.csv", d, (1 + OFF) * solved.curve.force_at(d))
     d = np.linspace(0.0, 13.0, 200)
-    write(folder / f"compression-{number}.csv", d, compression(BLOCK, material, d).force_N)
+    write(folder / f"compression-{number}.csv", d, homogeneous(BLOCK, material, d).force_N)
 
 
 @pytest.fixture(scope="module")

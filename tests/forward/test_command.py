@@ -478,9 +478,9 @@ def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
     made = commands(argv, {"calculix.py": text}, **said)
     given = lubricated(order)
     found, document = solve_by_command(made, given, np.array([1.5, 3.75]))
-    from study.mechanics.forward.closed_form import compression
+    from study.mechanics.forward.closed_form import homogeneous
 
-    exact = compression(given.specimen, given.material, np.array([1.5, 3.75])).force_N
+    exact = homogeneous(given.specimen, given.material, np.array([1.5, 3.75])).force_N
     np.testing.assert_allclose(found.curve.force_N, exact, rtol=close)
     assert document["version"].startswith("This is Version")
     assert found.mesh["elements"] > 0
@@ -490,7 +490,6 @@ def test_the_curve_of_a_coarse_program_is_a_spline_through_its_steps():
     found = exchange.at_points(
         {"displacement_mm": np.array([1.0, 2.0, 3.0]), "force_N": np.array([1.0, 8.0, 27.0])},
         np.array([0.5, 2.5, 3.0]),
-        {},
     )
     np.testing.assert_allclose(found.curve.force_N, [0.125, 15.625, 27.0], rtol=1e-12)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import binom, t
 
 from study.laboratory.registration.iterative_closest_point import (
@@ -10,7 +11,7 @@ from study.laboratory.registration.iterative_closest_point import (
     point_triangle,
     register,
 )
-from study.laboratory.registration.rigid import isolated, rotation_vector, turned_about
+from study.laboratory.registration.rigid import isolated, turned_about
 from tests.fem.problems import long_verification
 from tests.registration.bodies import ball, box, egg, scan
 
@@ -66,7 +67,7 @@ def coverage(scans, seed):
         found = register(surface, seen[~isolated(seen)])
         error = found.motion.after(truth)
         shift = error(found.center[None])[0] - found.center
-        wrong = np.append(rotation_vector(error.rotation), shift)
+        wrong = np.append(Rotation.from_matrix(error.rotation).as_rotvec(), shift)
         inside += np.abs(wrong) < t.ppf(0.975, PATCHES - 6) * np.sqrt(np.diag(found.covariance))
     return inside
 

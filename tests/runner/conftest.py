@@ -126,7 +126,7 @@ def make_data(home, mixes=("M1", "M2", "M3")):
     for (mix, specimen), constants in TRUTH.items():
         if mix not in mixes:
             continue
-        force = closed_form.compression(SPECIMEN, material(*constants), d).force_N
+        force = closed_form.homogeneous(SPECIMEN, material(*constants), d).force_N
         for repeat in (1, 2):
             lines += [
                 f"{mix},{specimen},{repeat},{x:.4f},{f:.10f}" for x, f in zip(d, force, strict=True)

@@ -51,11 +51,11 @@ def outcome(problem, status, message):
     assert isinstance(problem.specimen, Cylinder)
     size, test = mesh_size(problem.setup), problem.test
     d = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
-    exact = closed_form.compression(problem.specimen, problem.material, d)
+    exact = closed_form.homogeneous(problem.specimen, problem.material, d)
     factor = BONDED * (1 + 1e-3 * size) if test.interface == "bonded" else 1.0
     gradient = {n: factor * g for n, g in exact.force_gradient.items()}
     above, below = (
-        closed_form.compression(problem.specimen, problem.material, d + h).force_N
+        closed_form.homogeneous(problem.specimen, problem.material, d + h).force_N
         for h in (1e-4, -1e-4)
     )
     curve = Curve(d, factor * exact.force_N, factor * (above - below) / 2e-4, gradient)

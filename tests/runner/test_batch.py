@@ -15,7 +15,7 @@ from study.harness.design.load import loads
 from study.harness.runner import batch
 from study.harness.runner.batch import Progress, in_phase, run_batch
 from study.harness.runner.expansion import expand
-from study.mechanics.forward.closed_form import compression
+from study.mechanics.forward.closed_form import homogeneous
 from study.record.record import table
 from study.record.store import Store
 from study.simulation import provenance
@@ -75,7 +75,7 @@ def test_constants_and_scores_are_those_of_the_data(clean):
 
 def _cross_error(mix):
     d = np.linspace(0.3, 6.0, 50)
-    a, b = (compression(SPECIMEN, material(*TRUTH[mix, s]), d).force_N for s in "AB")
+    a, b = (homogeneous(SPECIMEN, material(*TRUTH[mix, s]), d).force_N for s in "AB")
     difference = np.sqrt(np.mean((a - b) ** 2))
     return float(50 * (difference / np.sqrt(np.mean(a**2)) + difference / np.sqrt(np.mean(b**2))))
 

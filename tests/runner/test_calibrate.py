@@ -59,7 +59,7 @@ def write(
     """Write closed-form compression tests; ``specimens`` maps labels to stiffness factors."""
     d = np.linspace(0.0, depth, 181)
     material = Material(model, constants, poisson_ratio=0.4995)
-    force = closed_form.compression(SPECIMEN, material, d).force_N
+    force = closed_form.homogeneous(SPECIMEN, material, d).force_N
     rng = np.random.default_rng(seed)
     rows = ["s,r,d,f"]
     for label, stiffness in (specimens or {"A": 1.0}).items():

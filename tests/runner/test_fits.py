@@ -33,7 +33,7 @@ def calibration_of(document):
 
 
 def curve(model, constants):
-    return closed_form.compression(
+    return closed_form.homogeneous(
         SPECIMEN,
         Material(model, constants, poisson_ratio=0.4995),
         DEPTHS,

@@ -118,7 +118,7 @@ def test_stress_of_a_cylinder_is_force_over_its_area(tmp_path):
     """Columns of strain also serve specimens with a shape, where nothing holds their ends."""
     truth = Material("neo-hookean", {"C10": 0.02}, poisson_ratio=0.49)
     d = np.linspace(0.5, 6, 12)
-    force = closed_form.compression(Cylinder(10, 20), truth, d).force_N
+    force = closed_form.homogeneous(Cylinder(10, 20), truth, d).force_N
     area = np.pi * 10**2
     head = gauge('model = "neo-hookean"\npoisson_ratio = 0.49', 'radius = "10 mm"\n')
     head = head.replace('"homogeneous"', '"cylinder"\nheight = "20 mm"')

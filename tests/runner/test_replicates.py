@@ -28,7 +28,7 @@ from .conftest import DESIGN, SPECIMEN, compressed, fake, make_data
 MESHES, NOISE = "\n[replicates]\nmesh_seeds = 5\n", "\n[replicates]\nnoise = 20\n"
 DEPTHS = np.linspace(0.3, 6.0, 100)
 TRUTH = Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995)
-EXACT = closed_form.compression(SPECIMEN, TRUTH, DEPTHS).force_N
+EXACT = closed_form.homogeneous(SPECIMEN, TRUTH, DEPTHS).force_N
 
 
 def run(work, folder):

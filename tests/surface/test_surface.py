@@ -265,7 +265,7 @@ def test_pins_hold_what_is_left_and_no_more():
     found = pins(lying, 30, plate)
     assert len(found) == 3  # along the plate, and about its normal
     assert (found < 90).all()
-    rows = rigid_motions(lying)[sorted({*plate, *found.tolist()})]
+    rows = rigid_motions(lying).reshape(-1, 6)[sorted({*plate, *found.tolist()})]
     assert np.linalg.matrix_rank(rows) == 6
     clamp = {3 * n + i: 0.0 for n in range(10) for i in range(3)}
     assert pins(lying, 30, clamp).size == 0

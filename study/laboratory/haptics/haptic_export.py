@@ -155,11 +155,9 @@ def tabulated(name: str, problem: Problem, path: Curve) -> ForceLaw:
     knots = np.arange(0, len(curve), PARTS)
     others = np.setdiff1d(np.arange(len(curve)), knots)
     d, force_N, slopes = curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm[knots]
-    force = force_table(float(d[PARTS]), force_N[knots], slopes)
-    gradients = {
-        name: gradient_table(float(d[PARTS]), values[knots])
-        for name, values in curve.force_gradient.items()
-    }
+    step_mm = float(d[PARTS])
+    force = force_table(step_mm, force_N[knots], slopes)
+    gradients = {n: gradient_table(step_mm, v[knots]) for n, v in curve.force_gradient.items()}
     between = np.linspace(0.0, float(d[-1]), PARTS * len(path) + 1)
     missed = [force.at(between) - sampled.force_at(between) for sampled in (path, curve)]
     return ForceLaw(
@@ -210,10 +208,8 @@ def _ranges(
     for name, value in law.constants.items():
         half = source.half_ranges.get(name, CONSTANT_SHARE * abs(value))
         ends = (value - half, value + half)
-        # NaN, where one end has no answer, stays NaN
-        off = float(
-            np.max([_deviation(law, source.problem, solution, {name: end}) for end in ends])
-        )
+        missed = [_deviation(law, source.problem, solution, {name: end}) for end in ends]
+        off = float(np.max(missed))  # NaN, where one end has no answer, stays NaN
         ranges.append(ConstantRange(name, *ends, off))
         say(f"{name} from {ends[0]:.4g} to {ends[1]:.4g}: {off:.2g} N from first order")
     return ranges

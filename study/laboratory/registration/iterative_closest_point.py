@@ -196,9 +196,8 @@ class Registration(Keyed):
     def uncertainty_at(self, points: Array) -> Array:
         """Return the standard uncertainty of the place of registered points, shape (n,), mm."""
         slopes = motion_slopes(points - self.center)
-        return np.asarray(
-            np.sqrt(np.einsum("nij,jk,nik->n", slopes, self.covariance, slopes).clip(0))
-        )
+        variance = np.einsum("nij,jk,nik->n", slopes, self.covariance, slopes)
+        return np.asarray(np.sqrt(variance.clip(0)))
 
     @property
     def rotation_uncertainty_deg(self) -> Array:
@@ -543,10 +542,8 @@ def point_triangle(points: Array, corners: Array) -> tuple[Array, Array]:
     best = np.where(inside, _squared(weights, corners, points), np.inf)
     for first, second in ((0, 1), (1, 2), (2, 0)):
         along = corners[..., second, :] - corners[..., first, :]
-        share = _dot(points - corners[..., first, :], along) / np.maximum(
-            _dot(along, along), 1e-300
-        )
-        share = np.clip(share, 0, 1)
+        square = np.maximum(_dot(along, along), 1e-300)
+        share = np.clip(_dot(points - corners[..., first, :], along) / square, 0, 1)
         edge = np.zeros_like(weights)
         edge[..., first], edge[..., second] = 1 - share, share
         away = _squared(edge, corners, points)

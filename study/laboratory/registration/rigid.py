@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
@@ -58,7 +57,9 @@ class RigidMotion(Keyed):
     @property
     def angle_deg(self) -> float:
         """Angle of the rotation, 0 to 180 deg."""
-        return float(np.degrees(np.linalg.norm(rotation_vector(self.rotation))))
+        from scipy.spatial.transform import Rotation
+
+        return float(np.degrees(Rotation.from_matrix(self.rotation).magnitude()))
 
 
 def identity() -> RigidMotion:
@@ -71,13 +72,6 @@ def rotation_of(vector: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
-
-
-def rotation_vector(rotation: Array) -> Array:
-    """Axis of a rotation times its angle in rad, shape (3,). Shapes: rotation (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 def turned_about(center: Array, vector: Array, shift: Array) -> RigidMotion:
@@ -429,11 +423,14 @@ def _described(points: Array, values: Array, scale: float) -> FittedSphere:
     )
 
 
-def student_half(error: ArrayLike, freedom: float, alpha: float) -> Array:
-    """Half width of the interval of an estimate with a standard error, by Student's t."""
+def student_interval(
+    value: float, error: float, freedom: float, alpha: float
+) -> tuple[float, float]:
+    """Interval of an estimate with a standard error, by Student's t."""
     from scipy.stats import t
 
-    return np.asarray(t.ppf(1 - alpha / 2, freedom) * np.asarray(error))
+    half = float(t.ppf(1 - alpha / 2, freedom) * error)
+    return value - half, value + half
 
 
 # Agreement of two methods of measurement: bias and limits (Bland and Altman 1986), with exact
@@ -478,7 +475,6 @@ def limits_of_agreement(
         raise InputError(Fault(where, rule, "measure at more positions"))
     difference = first - second
     bias, sd = float(difference.mean()), float(difference.std(ddof=1))
-    half = float(student_half(sd / np.sqrt(n), n - 1, alpha))
     shift = LIMIT * np.sqrt(n)
     ends = nct.ppf([alpha / 2, 1 - alpha / 2], n - 1, shift) * sd / np.sqrt(n)
     mean = (first + second) / 2
@@ -486,7 +482,7 @@ def limits_of_agreement(
     slope = linregress(mean, difference) if varies else None
     return MethodAgreement(
         bias=bias,
-        bias_interval=(bias - half, bias + half),
+        bias_interval=student_interval(bias, sd / np.sqrt(n), n - 1, alpha),
         sd=sd,
         lower=bias - LIMIT * sd,
         upper=bias + LIMIT * sd,
@@ -541,15 +537,14 @@ def deming_line(
         raise InputError(Fault(where, rule, "compare the columns of both quantities"))
     pseudo = n * np.array([offset, scale]) - (n - 1) * left_out
     errors = pseudo.std(axis=0, ddof=1) / np.sqrt(n)
-    half = student_half(errors, n - 2, alpha)
     residual = y - offset - scale * x
     return DemingLine(
         scale=scale,
         offset=offset,
         scale_uncertainty=float(errors[1]),
         offset_uncertainty=float(errors[0]),
-        scale_interval=(scale - float(half[1]), scale + float(half[1])),
-        offset_interval=(offset - float(half[0]), offset + float(half[0])),
+        scale_interval=student_interval(scale, errors[1], n - 2, alpha),
+        offset_interval=student_interval(offset, errors[0], n - 2, alpha),
         residual_sd=float(np.sqrt((residual**2).sum() / (n - 2))),
         points=n,
     )

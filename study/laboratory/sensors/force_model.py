@@ -75,9 +75,8 @@ class ClosedForm:
         height, area = height_and_area(self.problem.specimen)
         sense = self.problem.setup.kind.sense
         touches = displacement_mm >= 0
-        state = response(
-            material, "uniaxial", 1 + sense * np.where(touches, displacement_mm, 0.0) / height
-        )
+        stretch = 1 + sense * np.where(touches, displacement_mm, 0.0) / height
+        state = response(material, "uniaxial", stretch)
         jacobian = np.stack([sense * area * state.gradient[n] for n in material.names], axis=1)
         if not np.isfinite(state.stress).all():
             raise EvaluationFailed("the material has no equilibrium state at these constants")

@@ -156,19 +156,13 @@ def propagate(
             root[:] = np.pad(root.sum(axis=1, keepdims=True), ((0, 0), (0, root.shape[1] - 1)))
     variance = np.einsum("skn,skn->sk", effects, effects)
     gradient = predicted.jacobian[0]
-    force = np.einsum("k,skn->sn", gradient, effects)
-    return Propagation(
-        sources,
-        tuple(
-            PropagatedQuantity(name, unit, float(value), np.sqrt(variance[:, k]), sources)
-            for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
-        ),
-        PropagatedQuantity(
-            "force", "N", float(predicted.force_N[0]), np.linalg.norm(force, axis=1), sources
-        ),
-        pseudo_inverse,
-        gradient,
+    constants = tuple(
+        PropagatedQuantity(name, unit, float(value), np.sqrt(variance[:, k]), sources)
+        for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
     )
+    per_source = np.linalg.norm(np.einsum("k,skn->sn", gradient, effects), axis=1)
+    force = PropagatedQuantity("force", "N", float(predicted.force_N[0]), per_source, sources)
+    return Propagation(sources, constants, force, pseudo_inverse, gradient)
 
 
 #: Tests of one task, whatever the number of workers, so that this changes no digit.
@@ -301,9 +295,7 @@ def _simulation(
         *zip(propagation.constants, fitted.T, linear.T, strict=True),
         (force, changes[:, -1] - force.value, linear @ propagation.gradient),
     ]
-    scatters = tuple(
-        _scatter(quantity, changed, moved, multiple) for quantity, changed, moved in pairs
-    )
+    scatters = tuple(_scatter(of, changed, moved, multiple) for of, changed, moved in pairs)
     return Simulation(multiple, samples, samples - answered, scatters, message)
 
 
@@ -394,14 +386,10 @@ class _Test:
     def measured(self, random: np.random.Generator) -> tuple[Array, Array]:
         """Constants of the fit to one measured test, and their change to first order."""
         n, p, f = self.rows.size, self.chunk.file.position, self.chunk.file.force
-        moved = p.offset_mm * random.standard_normal() + self.rows * (
-            p.scale * random.standard_normal()
-        )
-        moved = moved + p.noise_mm * random.standard_normal(n)
-        off = f.zero_N * random.standard_normal() + self.true.force_N * (
-            f.scale * random.standard_normal()
-        )
-        off = off + f.noise_N * random.standard_normal(n)
+        shift, scale = p.offset_mm * random.standard_normal(), p.scale * random.standard_normal()
+        moved = shift + self.rows * scale + p.noise_mm * random.standard_normal(n)
+        shift, scale = f.zero_N * random.standard_normal(), f.scale * random.standard_normal()
+        off = shift + self.true.force_N * scale + f.noise_N * random.standard_normal(n)
         linear = self.chunk.pseudo_inverse @ (off - self.true.stiffness_N_per_mm * moved)
         return self._fit(self.rows + moved, self.true.force_N + off), linear
 

@@ -18,7 +18,8 @@ from study.ground.bounded_file import Unpacker, open_regular
 from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
-from study.mechanics.mesh.structured import MIDDLES
+from study.mechanics.mesh.structured import KINDS as CELLS
+from study.mechanics.mesh.structured import MIDDLES, QUADRATIC, edges_and_facets, outer
 from study.mechanics.surface.closed_surface import Edges, Triangles, inspect, joined, read_mesh
 
 if TYPE_CHECKING:
@@ -30,22 +31,11 @@ SEGMENTS = 180
 #: Places within this share of the extent lie in a plane of symmetry, or are one point.
 SAME_PLACE = 1e-6
 
-_TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
-_HEXAHEDRON = (
-    (0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7),
-)  # fmt: skip
-#: Sides of cells by the type of their corners, each as its corners.
-_SIDES: dict[str, tuple[tuple[int, ...], ...]] = {
-    "triangle": ((0, 1), (1, 2), (2, 0)),
-    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
-    "tetra": _TETRAHEDRON,
-    "hexahedron": _HEXAHEDRON,
-}
 #: Corners, sides, and corners in whose middle every further node lies.
 _SHAPES = {
-    kind: (1 + max(max(side) for side in sides), sides, MIDDLES.get(kind, []))
-    for corners, sides in _SIDES.items()
-    for kind in (corners, *(k for k in MIDDLES if k.rstrip("0123456789") == corners))
+    kind: (corners, edges_and_facets(linear)[1], MIDDLES.get(kind, []))
+    for (_, corners), linear in CELLS.items()
+    for kind in (linear, QUADRATIC[linear])
 }
 KINDS = tuple(_SHAPES)
 PLANE_KINDS = ("triangle", "triangle6", "quad", "quad9")
@@ -73,11 +63,11 @@ class DeformedMesh:
 class Symmetry:
     """What of a body a mesh is."""
 
-    section: bool
+    section: bool = False
     #: Whether planes x = 0 and y = 0 mirror it, and the lowest plane across the axis.
-    mirrored: tuple[bool, bool, bool]
+    mirrored: tuple[bool, bool, bool] = (False, False, False)
     #: Place of that plane, mm.
-    lowest: float
+    lowest: float = 0.0
     #: What the base would rise by if that plane rested, mm.
     rise_mm: float = 0.0
 
@@ -146,19 +136,13 @@ def _outer_sides(mesh: DeformedMesh) -> Ints:
     nodes = np.concatenate([mesh.cells[:, list(side)] for side in sides])
     owner = np.tile(np.arange(len(mesh.cells)), len(sides))
     number = np.repeat(np.arange(len(sides)), len(mesh.cells))
-    _, first, count = np.unique(
-        np.sort(nodes, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    alone = first[count == 1]
-    parts = []
+    alone, parts = outer(nodes), []
     for k in range(len(sides)):
-        part = alone[number[alone] == k]
-        owners = owner[part]
+        cells = mesh.cells[owner[alone[number[alone] == k]]]
         pieces = np.array(_pieces(mesh.kind, k))
-        split = np.asarray(mesh.cells[owners][:, pieces].reshape(-1, pieces.shape[1]))
-        centers = mesh.points[mesh.cells[owner[part], :corners]].mean(axis=1)
-        parts.append(_turned(mesh.points, split, np.repeat(centers, len(split) // max(len(part), 1),
-                                                           axis=0)))  # fmt: skip
+        split = np.asarray(cells[:, pieces].reshape(-1, pieces.shape[1]))
+        centers = mesh.points[cells[:, :corners]].mean(axis=1)
+        parts.append(_turned(mesh.points, split, np.repeat(centers, len(pieces), axis=0)))
     return np.concatenate(parts)
 
 
@@ -223,9 +207,8 @@ def _joined(points: Array, displacement: Array, triangles: Ints) -> BodySurface:
     group, first = joined(points, SAME_PLACE * size)
     cells = group[triangles]
     cells = cells[(cells != np.roll(cells, 1, axis=1)).all(axis=1)]
-    _, unique_index, count = np.unique(
-        np.sort(cells, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
+    rows = np.sort(cells, axis=1)
+    _, unique_index, count = np.unique(rows, axis=0, return_inverse=True, return_counts=True)
     used, cells = np.unique(cells[count[unique_index.ravel()] == 1], return_inverse=True)
     cells = cells.reshape(-1, 3)
     count = Edges.of(cells).count
@@ -251,7 +234,7 @@ class SimulatedBody:
     #: Mesh that it comes from; None for a surface file.
     mesh: DeformedMesh | None = None
     #: What part of the body the mesh is.
-    symmetry: Symmetry | None = None
+    symmetry: Symmetry = Symmetry()
     notes: tuple[str, ...] = ()
 
     def at(self, share: float) -> TriangleSurface:
@@ -281,8 +264,7 @@ class SimulatedBody:
         """Displacement of material points, shape (n, 3), mm; nan outside the body."""
         # Between nodes it is linear on tetrahedra of Delaunay, whose error is of the second order
         # in the element size, as that of linear elements.
-        interpolate = self._interpolator
-        symmetry = self.symmetry or Symmetry(False, (False,) * 3, 0)
+        interpolate, symmetry = self._interpolator, self.symmetry
         signs = np.ones_like(points)
         places = points.copy()
         for k, mirrored in enumerate(symmetry.mirrored):

@@ -177,7 +177,7 @@ def judge_shape(
         seen=float(surface.areas[near].sum() / surface.areas.sum()),
         registration_uncertainty=added,
         markers=None if markers is None else _marked(body, markers, motion),
-        symmetry=str(body.symmetry) if body.symmetry else "whole body",
+        symmetry=str(body.symmetry),
         notes=(*body.notes, *_notes(registration)),
     )
 
@@ -246,10 +246,7 @@ def _check_state(body: SimulatedBody, scan: Scan, distance: float, start: RigidM
     moved = float(np.linalg.norm(body.body.displacement, axis=1).max())
     if min(moved, distance) < RESOLUTION_SHARE * size:
         return
-    others = {
-        share: coarse_registration(body.at(share), scan.points, [start])[0]
-        for share in OTHER_STATES
-    }
+    others = {s: coarse_registration(body.at(s), scan.points, [start])[0] for s in OTHER_STATES}
     share, least = min(others.items(), key=lambda pair: pair[1])
     if least < CLEARLY_BETTER * distance:
         state = "the body at rest" if share == 0 else f"{100 * share:g} % of the displacement"
@@ -352,14 +349,13 @@ def read_scan(path: Path, unit: str, body_size: float) -> Scan:
     if alone.mean() > MOST_OUTLIERS:
         rule = f"{int(alone.sum())} of {len(points)} points stand alone: this is no surface"
         raise InputError(Fault(where, rule, "clean the cloud, or scan it more densely"))
-    used = points[~alone]
-    size = float(np.linalg.norm(np.ptp(used, axis=0)))
-    if not SIZES[0] < size / body_size < SIZES[1]:
-        factor = unit_factor(unit, "length")
-        likely = min(UNITS, key=lambda name: abs(np.log(size / factor * UNITS[name] / body_size)))
-        rule = f"is {size:.4g} mm large, the simulated body {body_size:.4g} mm"
+    scan = Scan(points[~alone], int(alone.sum()), path.name)
+    if not SIZES[0] < scan.size / body_size < SIZES[1]:
+        written = scan.size / unit_factor(unit, "length")
+        likely = min(UNITS, key=lambda name: abs(np.log(written * UNITS[name] / body_size)))
+        rule = f"is {scan.size:.4g} mm large, the simulated body {body_size:.4g} mm"
         raise InputError(Fault(where, rule, f'is it in {likely}? Then say --unit "{likely}"'))
-    return Scan(used, int(alone.sum()), path.name)
+    return scan
 
 
 def read_markers(path: Path, unit: str) -> Markers:

@@ -6,10 +6,11 @@ of its own, so the line is fitted with errors in both quantities.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from study.laboratory.registration.rigid import (
     limits_of_agreement,
     on_a_line,
     rotation_of,
-    student_half,
+    student_interval,
     target_registration_error,
 )
 from study.laboratory.tracker.tracker_recording import (
@@ -52,8 +53,8 @@ from study.laboratory.tracker.tracker_recording import (
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A scale this far from 1 is another unit, not an error of a tracker.
-DISPLACEMENT_UNIT_RATIO = 5.0
+#: A scale, or a distance over its standard, this far from 1 is another unit, not an error.
+UNIT_RATIO = 5.0
 
 
 @dataclass(frozen=True)
@@ -106,18 +107,14 @@ def analyze_displacement(
     steps = (commanded_mm - commanded_mm[0])[~at_home]
     line = deming_line(steps, measured, _ratio(declared, repeat, steps, measured), alpha,
                        "displacement")  # fmt: skip
-    if not 1 / DISPLACEMENT_UNIT_RATIO < line.scale < DISPLACEMENT_UNIT_RATIO:
+    if not 1 / UNIT_RATIO < line.scale < UNIT_RATIO:
         rule = f"measured is {line.scale:.4g} times commanded displacement: another unit"
         mend = "compare [recording] unit and [displacement] unit"
         raise InputError(Fault("displacement.unit", rule, mend))
     spread = line.residual_sd if repeat is None else repeat
     home = float(spread / np.sqrt(at_home.sum()))
-    line_uncertainty = line.offset_uncertainty
-    total = float(np.hypot(line_uncertainty, home))
-    half = (line.offset_interval[1] - line.offset) * (
-        total / line_uncertainty if line_uncertainty > 0 else 1.0
-    )
-    interval = (line.offset - half, line.offset + half)
+    total = float(np.hypot(line.offset_uncertainty, home))
+    interval = student_interval(line.offset, total, line.points - 2, alpha)
     return DisplacementResult(
         marker=declared.marker,
         commanded_mm=steps,
@@ -135,10 +132,8 @@ def analyze_displacement(
 
 def _straight(places: Array, commanded_mm: Array) -> tuple[Array, Array, Array]:
     """Axis of the straight line through stops, places along it, and distances from it, mm."""
-    if np.unique(commanded_mm).size < 3:
-        rule = (
-            f"there are {np.unique(commanded_mm).size} commanded positions, a line needs 3 or more"
-        )
+    if (count := np.unique(commanded_mm).size) < 3:
+        rule = f"there are {count} commanded positions, a line needs 3 or more"
         raise InputError(Fault("displacement.commanded", rule, "stop at more positions"))
     away = places - places.mean(axis=0)
     axis = np.linalg.svd(away, full_matrices=False)[2][0]
@@ -165,8 +160,6 @@ def _ratio(
 # Distance between two markers on one rigid body: what changes in it is the tracker's error. A
 # visit counts as one observation, for its samples share most of their errors.
 
-#: A distance this far from its standard is in another unit, not wrong by an error.
-UNIT_RATIO = 5.0
 #: Fewest visits, or blocks of samples, over which a drift is judged.
 FEWEST_FOR_DRIFT = 6
 #: Blocks into which a recording without visits is cut for its drift.
@@ -220,33 +213,10 @@ class Standard:
     spheres: tuple[FittedSphere, ...] = ()
 
 
-class StageEffect(Protocol):
-    """What the means of stages differ by."""
-
-    @property
-    def range(self) -> float | None:
-        """Largest difference, mm."""
-
-    @property
-    def p(self) -> float | None:
-        """Of no difference."""
-
-    @property
-    def verdict(self) -> str:
-        """What may be claimed of it."""
-
-
-class StageComparison(Protocol):
-    """Analysis of variance of the means of visits, with the stage as factor."""
-
-    @property
-    def effects(self) -> Sequence[StageEffect]:
-        """One of the stages; empty where none can be told."""
-
-
-#: makes it of a table (``stage``, ``distance`` in mm, ``pass`` where there are passes), the
-#: smallest difference that matters in mm, and alpha
-Compare = Callable[["pd.DataFrame", float | None, float], StageComparison]
+#: makes an analysis of variance, with the stage as factor, of a table of the means of visits
+#: (``stage``, ``distance`` in mm, ``pass`` where there are passes), the smallest difference that
+#: matters in mm, and alpha
+Compare = Callable[["pd.DataFrame", float | None, float], Keyed]
 
 
 @dataclass(frozen=True)
@@ -265,7 +235,7 @@ class DistanceResult(Keyed):
     #: In the order of the recording.
     stages: tuple[StageDistance, ...]
     #: Analysis of variance of the visit means; None where it cannot be made.
-    comparison: StageComparison | None
+    comparison: Keyed | None
     #: Why there is none, or what the error term is.
     comparison_note: str
     #: None where there are too few visits or independent samples.
@@ -340,8 +310,8 @@ def _stage(recording: TrackerRecording, samples: Array, stage: str, alpha: float
     between, interval = None, None
     if len(parts) > 1:
         between = float(means.std(ddof=1))
-        half = float(student_half(between / np.sqrt(len(parts)), len(parts) - 1, alpha))
-        interval = (float(means.mean()) - half, float(means.mean()) + half)
+        error = between / np.sqrt(len(parts))
+        interval = student_interval(float(means.mean()), error, len(parts) - 1, alpha)
     return StageDistance(
         stage=stage,
         visits=len(parts),
@@ -405,9 +375,8 @@ def _drift(recording: TrackerRecording, samples: Array, means: Array, alpha: flo
 
     slope = float(x @ y / (x @ x))
     error = float(np.sqrt(((y - slope * x) ** 2).sum() / freedom / (x @ x)))
-    half = float(student_half(error, freedom, alpha))
     p = float(2 * t.sf(abs(slope) / error, freedom)) if error > 0 else float(slope == 0)
-    return Drift(slope, (slope - half, slope + half), p, unit, len(x))
+    return Drift(slope, student_interval(slope, error, freedom, alpha), p, unit, len(x))
 
 
 def _blocks(visit: Visit, samples: Array) -> tuple[Visit, ...]:
@@ -418,9 +387,7 @@ def _blocks(visit: Visit, samples: Array) -> tuple[Visit, ...]:
     if count < FEWEST_FOR_DRIFT:
         return (visit,)
     ends = np.linspace(visit.begin, visit.end, count + 1).astype(int)
-    return tuple(
-        Visit(visit.stage, int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True)
-    )
+    return tuple(Visit(visit.stage, int(a), int(b)) for a, b in pairwise(ends))
 
 
 def _bias(
@@ -441,8 +408,7 @@ def _bias(
     total = float(np.hypot(standard_error, standard.uncertainty_mm))
     # Welch-Satterthwaite: the standard's own uncertainty counts as known
     freedom = (len(units) - 1) * (total / standard_error) ** 4 if standard_error > 0 else 1e6
-    half = float(student_half(total, min(freedom, 1e6), alpha))
-    return bias, (bias - half, bias + half)
+    return bias, student_interval(bias, total, min(freedom, 1e6), alpha)
 
 
 # What ``study tracking`` says.
@@ -592,7 +558,11 @@ def analyze_reference(
     turned = None
     if declared.axes is not None:
         further = [factor * coordinates(table, axis)[rows] for axis in declared.axes]
-        _check_axes(fixed, further, poses, declared.file)
+        bodies = zip(poses, fixed, *further, strict=True)
+        if lines := [pose for pose, *points in bodies if on_a_line(np.array(points))]:
+            rule = f"the three points on the body lie on a line at: {', '.join(lines[:5])}"
+            mend = "name other columns in [reference] axes: two points off the line through the "
+            raise InputError(Fault(f"{declared.file}: axes", rule, f"{mend}first"))
         second = further[1]
         x = further[0] - fixed
         x /= np.linalg.norm(x, axis=1, keepdims=True)
@@ -668,19 +638,6 @@ def _left_out(moving: Array, fixed: Array) -> Array:
     return np.array(errors)
 
 
-def _check_axes(origin: Array, further: list[Array], poses: tuple[str, ...], where: str) -> None:
-    """Refuse three points of the body that lie on a line in some pose."""
-    lines = [
-        pose
-        for pose, *points in zip(poses, origin, *further, strict=True)
-        if on_a_line(np.array(points))
-    ]
-    if lines:
-        rule = f"the three points on the body lie on a line at: {', '.join(lines[:5])}"
-        mend = "name other columns in [reference] axes: two points off the line through the first"
-        raise InputError(Fault(f"{where}: axes", rule, mend))
-
-
 def _lever_arm(
     moving: Array, fixed: Array, turned: Array | None, fit: PairedFit
 ) -> LeverArm | None:
@@ -698,9 +655,8 @@ def _lever_arm(
     errors = []
     for k in range(n):
         others = np.arange(n) != k
-        arm_without, own_arm, _, _ = _with_arm(
-            moving[others], fixed[others], turned[others], motion
-        )
+        poses = moving[others], fixed[others], turned[others]
+        arm_without, own_arm, _, _ = _with_arm(*poses, motion)
         errors.append(arm_without(moving[k : k + 1])[0] - fixed[k] - turned[k] @ own_arm)
     rotations = Rotation.from_matrix(turned)
     angles = (rotations.mean().inv() * rotations).magnitude()
@@ -734,7 +690,6 @@ def _with_arm(
     settled(solution, "position of the reference")
     squares = float((solution.fun**2).sum())
     freedom = max(solution.fun.size - 9, 1)
-    covariance = (
-        np.linalg.pinv(solution.jac.T @ solution.jac, rcond=1e-14)[6:, 6:] * squares / freedom
-    )
+    inverse = np.linalg.pinv(solution.jac.T @ solution.jac, rcond=1e-14)[6:, 6:]
+    covariance = inverse * squares / freedom
     return motion_of(solution.x), np.asarray(solution.x[6:]), covariance, squares

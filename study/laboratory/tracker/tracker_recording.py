@@ -19,6 +19,7 @@ from study.ground.declaration import (
     Length,
     LengthOrZero,
     Reads,
+    Schema,
     choice,
     number,
     section,
@@ -36,8 +37,6 @@ from study.mechanics.measurement.measurement_section import Axes, csv_path, thre
 from study.mechanics.measurement.written_units import contradicts, word_of_unit
 
 # The file of a tracker study: its tables are classes, and a class's fields are the keys.
-
-SCHEMA = 1
 
 
 def markers_of(value: object) -> dict[str, Axes]:
@@ -141,17 +140,11 @@ class TrackingTable:
     alpha: Annotated[float, Reads(number(0, 0.5))] = 0.05
 
 
-def _schema(value: object) -> int:
-    if value != SCHEMA:
-        raise Bad(f"must be {SCHEMA}, got {shown(value)}", f"write schema = {SCHEMA}")
-    return SCHEMA
-
-
 @section
 class TrackingFile:
     """A file of ``study tracking``: at least one of the last three is there."""
 
-    schema: Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
+    schema: Schema
     recording: RecordingTable
     tracking: TrackingTable = TrackingTable()
     distance: DistanceTable | None = None
@@ -342,9 +335,7 @@ def _check_lost(points: Array, where: str) -> None:
 def _check_exchanged(positions: Mapping[str, Array], table: CsvTable) -> None:
     """Refuse markers that each go to where the other one was, from one row to the next."""
     for (first, a), (second, b) in combinations(positions.items(), 2):
-        alone = np.linalg.norm(np.diff(a, axis=0), axis=1) + np.linalg.norm(
-            np.diff(b, axis=0), axis=1
-        )
+        alone = sum(np.linalg.norm(np.diff(places, axis=0), axis=1) for places in (a, b))
         crossed = np.linalg.norm(a[1:] - b[:-1], axis=1) + np.linalg.norm(b[1:] - a[:-1], axis=1)
         rows = np.flatnonzero(crossed < _EXCHANGED * alone) + 1
         if rows.size:

@@ -63,9 +63,8 @@ def _under_indenter(
 ) -> tuple[ContactPoints, ...]:
     """Points of the loaded face, or of a whole surface but for its base."""
     if isinstance(problem.specimen, Enclosed):
-        base = np.zeros(len(space.nodes), dtype=bool)
-        base[at_level(space, mesh, 0.0)] = True
-        chosen = np.asarray(~base[space.facets].all(axis=1))
+        on_base = np.isin(space.facets, at_level(space, mesh, 0.0))
+        chosen = np.asarray(~on_base.all(axis=1))
         corners = mesh.points[space.facets[chosen][:, :3]]
         touch = touch_mm(pair.indenter, corners, mesh.height_mm)
     else:
@@ -76,16 +75,14 @@ def _under_indenter(
     if pair.indenter.is_sharp_edged:
         rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
         under = rho <= pair.indenter.face_radius_mm * (1 + _SAME)
-        below = meeting(
-            problem, space, mesh, Plane(touch, -1, 1.0, space.dim - 1), chosen, nodal=True
-        )
-        parts = (
-            only(below, under[below.nodes].all(axis=1)),
-            only(points, ~under[points.nodes].all(axis=1)),
-        )
-        return tuple(part for part in parts if part.size)
-    reach = touch_radius(problem.setup)
-    return gripping(points, space.dim, is_bonded=pair.is_bonded, reach_mm=reach)
+        face = Plane(touch, -1, 1.0, space.dim - 1)
+        below = meeting(problem, space, mesh, face, chosen, nodal=True)
+        inside = only(below, under[below.nodes].all(axis=1))
+        outside = only(points, ~under[points.nodes].all(axis=1))
+        return tuple(part for part in (inside, outside) if part.size)
+    if not pair.is_bonded:
+        return (points,)
+    return gripping(points, space.dim, touch_radius(problem.setup))
 
 
 def meeting(
@@ -184,17 +181,18 @@ def _collocation(
         radius = np.einsum("qa,ea->eq", N, ends[:, :, 0])
         weights = 2 * np.pi * radius * length[:, None] / 2
         return np.repeat(facets, 2, axis=0), np.tile(N, (len(facets), 1)), weights.ravel()
-    share = {
-        (2, 2): None,  # consistent with the radius, below
-        (2, 3): None,
-        (3, 3): np.full(3, 1 / 3),
-        (3, 4): np.full(4, 1 / 4),
-        (3, 6): np.array([1, 1, 1, 3, 3, 3]) / 12,
-        (3, 9): np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
-    }[(space.dim, k)]
-    if share is None:
-        share = _ring_shares(space.nodes[facets][:, :, 0])
+    # of an edge, consistent with the radius
+    share = _ring_shares(space.nodes[facets][:, :, 0]) if space.dim == 2 else _SHARES[k]
     return _at_nodes(_nodal_areas(space, facets, areas[:, None] * share))
+
+
+#: part of the area of a facet in 3D that each of its nodes stands for
+_SHARES = {
+    3: np.full(3, 1 / 3),
+    4: np.full(4, 1 / 4),
+    6: np.array([1, 1, 1, 3, 3, 3]) / 12,
+    9: np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
+}
 
 
 def _ring_shares(r: Array) -> Array:

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
-from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from study.ground.arrays import Array, Flags, Ints
+from study.mechanics.contact.rigid_surface import Press
 from study.mechanics.element.function_space import _SAME, Nodes, at_level
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Enclosed
@@ -28,20 +27,6 @@ from study.mechanics.surface.closed_surface import body
 #: eps = STIFFNESS * mu0 / h and c = SWITCHING * mu0 / h
 STIFFNESS = 4e4
 SWITCHING = 20.0
-
-
-class RigidSurface(Protocol):
-    """A rigid obstacle that moves with the displacement of the test."""
-
-    @property
-    def speed(self) -> float:
-        """Axial motion against the axis per unit of displacement: d(gap)/dd = n_z speed."""
-
-    def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
-        """Signed distance (n,), outward unit normal (n, dim) and Hessian (n, dim, dim)."""
-
-    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
-        """Gap (n,) and normal (n, dim) of small-strain contact, from reference positions ``x``."""
 
 
 @dataclass(frozen=True)
@@ -68,26 +53,24 @@ class Plane:
     level_mm: float
     #: {-1, 1}: direction of the normal into the specimen's side.
     sense: int
-    #: Axial motion per unit of displacement, against the axis: 1, or 0.5 in a half model.
+    #: Axial motion per unit of displacement, against the axis: 1, or 0.5 in a half model;
+    #: d(gap)/dd is n_z times it.
     speed: float
     #: Axis that it lies across.
     axis: int
 
     def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
-        """Signed distance, normal and (zero) Hessian."""
+        """Signed distance (n,), normal (n, dim) and (zero) Hessian (n, dim, dim)."""
         n, dim = x.shape
         normal = np.zeros((n, dim))
         normal[:, self.axis] = self.sense
         shift = self.speed * displacement_mm if self.axis == dim - 1 else 0.0
-        return (
-            self.sense * (x[:, self.axis] - (self.level_mm - shift)),
-            normal,
-            np.zeros((n, dim, dim)),
-        )
+        gap = self.sense * (x[:, self.axis] - (self.level_mm - shift))
+        return gap, normal, np.zeros((n, dim, dim))
 
-    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
-        """As :meth:`gap`: a plane looks the same from both states."""
-        return self.gap(x + u, displacement_mm)[:2]
+
+#: a rigid obstacle that moves with the displacement of the test
+RigidSurface = Plane | Press
 
 
 @dataclass(frozen=True)
@@ -114,7 +97,6 @@ class ContactPoints:
     #: shape (n_points,); which decide for themselves only until another one touches: the corners of
     #: six-node triangles, and the node on the axis, a fifth of an edge from its first Gauss point.
     first_touch: Flags | None = None
-    _dofs: dict[int, Ints] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def size(self) -> int:
@@ -123,27 +105,23 @@ class ContactPoints:
 
     def dofs(self, dim: int) -> Ints:
         """Displacement unknowns of every point, shape (n_points, dim * k)."""
-        if dim not in self._dofs:
-            each = dim * self.nodes[:, :, None] + np.arange(dim)
-            self._dofs[dim] = np.asarray(each.reshape(self.size, -1))
-        return self._dofs[dim]
+        each = dim * self.nodes[:, :, None] + np.arange(dim)
+        return np.asarray(each.reshape(self.size, -1))
 
     def meet(self, nodes: Array, u: Array, displacement_mm: float) -> Meeting:
         """Where the points are at displacements ``u`` (n_nodes, dim), as seen by the surface."""
-        reference, moved = self.interpolated(nodes), self.interpolated(u)
-        if self.small_strain:
-            gap, normal = self.surface.reference_gap(reference, moved, displacement_mm)
-            hessian = np.zeros((self.size, reference.shape[1], reference.shape[1]))
-        else:
-            gap, normal, hessian = self.surface.gap(reference + moved, displacement_mm)
+        places = self.interpolated(nodes), self.interpolated(u)
+        gap, normal, hessian = self.seen(*places, displacement_mm)
         direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
         return Meeting(gap + self.allowance_mm, direction, hessian)
 
-    def distance(self, reference: Array, moved: Array, displacement_mm: float) -> Array:
-        """Gap of points, shape (n,), from reference positions and displacements (n, dim)."""
-        if self.small_strain:
-            return self.surface.reference_gap(reference, moved, displacement_mm)[0]
-        return self.surface.gap(reference + moved, displacement_mm)[0]
+    def seen(
+        self, reference: Array, moved: Array, displacement_mm: float
+    ) -> tuple[Array, Array, Array]:
+        """Gap, normal and Hessian of points from reference positions and displacements."""
+        if self.small_strain and isinstance(self.surface, Press):  # a plane is one from both states
+            return self.surface.reference_gap(reference, moved, displacement_mm)
+        return self.surface.gap(reference + moved, displacement_mm)
 
     def evaluate(
         self, met: Meeting, multiplier: Array, closed: Flags | None = None, glue: Glue | None = None
@@ -215,7 +193,7 @@ class ContactPoints:
 
     def stiffness(self, state: ContactState) -> Array:
         """Packed upper stiffness blocks, shape (n_points, m (m + 1) / 2)."""
-        rows, columns = _upper(state.direction.shape[1])
+        rows, columns = np.triu_indices(state.direction.shape[1])
         spring = self.weights * np.where(state.active, self.eps, 0.0)
         blocks = spring[:, None] * state.direction[:, rows] * state.direction[:, columns]
         if state.hessian.any():
@@ -226,12 +204,6 @@ class ContactPoints:
             a, i, b, j = rows // dim, rows % dim, columns // dim, columns % dim
             blocks = blocks - self.shape[:, a] * self.shape[:, b] * curved[:, i, j]
         return np.asarray(blocks)
-
-
-@cache
-def _upper(size: int) -> tuple[Ints, Ints]:
-    """Rows and columns of the upper triangle of a block, diagonal included."""
-    return np.triu_indices(size)
 
 
 @dataclass(frozen=True)
@@ -282,13 +254,10 @@ class ContactState:
         pull = max(0.0, -float(self.pressure[~self.led].min(initial=0.0)))
         return pull / top if top > 0 else 0.0 if pull == 0 else np.inf
 
-    def settled(self) -> bool:
-        """Whether no open point wants to close."""
-        return not bool((self.closing & ~self.active).any())
-
-    def largest_violation(self) -> float:
-        """Largest |gap| of the active points, mm."""
-        return float(np.abs(self.gap[self.active]).max()) if self.active.any() else 0.0
+    def settled(self, gap_mm: float) -> bool:
+        """Whether no open point wants to close, and no closed one is off by a gap."""
+        off_mm = float(np.abs(self.gap[self.active]).max(initial=0.0))
+        return off_mm < gap_mm and not (self.closing & ~self.active).any()
 
 
 # Sticking to a rigid indenter without slip and release (Spence 1968, Proc. R. Soc. A 305, 55).
@@ -325,18 +294,14 @@ class TiedPoints(ContactPoints):
 _TIED_AREA = 0.01
 
 
-def gripping(
-    points: ContactPoints, dim: int, *, is_bonded: bool, reach_mm: float
-) -> tuple[ContactPoints, ...]:
-    """Points that meet an indenter, with a set of ties for every axis where it is bonded.
+def gripping(points: ContactPoints, dim: int, reach_mm: float) -> tuple[ContactPoints, ...]:
+    """Points that meet a bonded indenter, with a set of ties for every axis.
 
     The Gauss points of quadratic edges all miss one mode of the surface, in which corners and
     mid-sides move against each other. Only symmetry forbids it, through the points next to the
     axis, which stand for next to no area: they get the stiffness of more of it. With their own,
     two fifths of a gap were left by every iteration.
     """
-    if not is_bonded:
-        return (points,)
     least = _TIED_AREA * reach_mm**2
     eps = points.eps * np.maximum(1.0, least / points.weights)
     ties = (
@@ -347,34 +312,6 @@ def gripping(
         for axis in range(dim)
     )  # fmt: skip
     return (points, *ties)
-
-
-def hold(
-    glue: Glue,
-    contact: tuple[ContactPoints, ...],
-    touching: list[ContactState],
-    nodes: Array,
-    u: Array,
-    displacement_mm: float,
-    rates: Mapping[str, Array],
-) -> tuple[Glue, tuple[Array, ...]]:
-    """Take hold of every point that is closed, in the same equilibrium."""
-    # Shapes: nodes, u (n_nodes, dim), mm; rates (n_nodes, dim).
-    points, pressure = contact[0], touching[0].pressure
-    new = touching[0].active
-    position = points.interpolated(nodes + u)
-    position[:, -1] += displacement_mm  # as seen from the indenter, which moves against the axis
-    anchor = np.where(new[:, None], position, glue.anchor)
-    moved = {
-        name: np.where(new[:, None], points.interpolated(rate), glue.rate(name))
-        for name, rate in rates.items()
-    }
-    normal = touching[0].normal()
-    pushed = [
-        np.where(new, pressure * normal[:, axis], touch.pressure)
-        for axis, touch in enumerate(touching[1:])
-    ]
-    return Glue(glue.held | new, anchor, moved), (np.where(new, 0.0, pressure), *pushed)
 
 
 # What holds and what touches a specimen: prescribed unknowns and contact points of a test.
@@ -470,11 +407,8 @@ def face_motions(space: Nodes, nodes: Ints) -> Array:
     dim, places = space.dim, space.nodes[nodes]
     motions = np.zeros((len(nodes), dim, BESIDES))
     motions[:, : dim - 1, 5] = places[:, : dim - 1]
-    if dim == 3:
-        x, y = places[:, 0], places[:, 1]
-        motions[:, 0, 0] = motions[:, 1, 1] = 1.0
-        motions[:, 2, 2], motions[:, 2, 3] = y, -x
-        motions[:, 0, 4], motions[:, 1, 4] = -y, x
+    if dim == 3:  # turned about its own plane
+        motions[:, :, :5] = rigid_motions(places * [1.0, 1.0, 0.0])[:, :, [0, 1, 3, 4, 5]]
     return motions
 
 
@@ -483,22 +417,21 @@ _HELD = 1e-6
 
 
 def rigid_motions(places: Array) -> Array:
-    """List translations and rotations about the middle of some points, shape (3 n, 6)."""
+    """Displacements by a unit of each translation and rotation about the origin, (n, 3, 6)."""
     # Shapes: places (n, 3), mm.
-    middle = (places.min(axis=0) + places.max(axis=0)) / 2
-    x, y, z = (places - middle).T / float(np.ptp(places, axis=0).max())
-    zero = np.zeros(len(places))
+    x, y, z = places.T
     motions = np.zeros((len(places), 3, 6))
     motions[:, :, :3] = np.eye(3)
-    motions[:, :, 3] = np.column_stack([zero, -z, y])
-    motions[:, :, 4] = np.column_stack([z, zero, -x])
-    motions[:, :, 5] = np.column_stack([-y, x, zero])
-    return motions.reshape(-1, 6)
+    motions[:, 1, 3], motions[:, 2, 3] = -z, y
+    motions[:, 0, 4], motions[:, 2, 4] = z, -x
+    motions[:, 0, 5], motions[:, 1, 5] = -y, x
+    return motions
 
 
 def pins(places: Array, n_free: int, held: Mapping[int, float]) -> Ints:
     """Unknowns that have to be held besides those that are. Shapes: places (n_nodes, 3)."""
-    motions = rigid_motions(places)
+    middle, extent = (places.min(axis=0) + places.max(axis=0)) / 2, np.ptp(places, axis=0).max()
+    motions = rigid_motions((places - middle) / float(extent)).reshape(-1, 6)
     rows = motions[sorted(held)]
     values, directions = np.linalg.eigh(rows.T @ rows) if held else (np.zeros(6), np.eye(6))
     free = directions[:, values < _HELD**2 * max(float(values.max(initial=0.0)), 1.0)]

@@ -190,13 +190,16 @@ class Press:
         hessian += around * _outer(across, across)
         return parts[0], normal, hessian
 
-    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
-        """Vertical gap and normal of small-strain contact: the shape is seen undeformed."""
+    def reference_gap(
+        self, x: Array, u: Array, displacement_mm: float
+    ) -> tuple[Array, Array, Array]:
+        """Vertical gap, normal and no Hessian at small strain: the shape is seen undeformed."""
         rho = x[:, 0] if x.shape[1] == 2 else np.hypot(x[:, 0], x[:, 1])
         normal = np.zeros_like(x)
         normal[:, -1] = -1.0
         low = self.height_mm - self.speed * displacement_mm
-        return low + profile_height(self.pieces, rho) - x[:, -1] - u[:, -1], normal
+        gap = low + profile_height(self.pieces, rho) - x[:, -1] - u[:, -1]
+        return gap, normal, np.zeros((*x.shape, x.shape[1]))
 
 
 def _outer(a: Array, b: Array) -> Array:

@@ -84,30 +84,6 @@ def volume_ratios(elements: Elements, space: Shapes, x: Array, J: Array) -> floa
     return smallest
 
 
-@part()
-def add_pressure(
-    dN: Array,
-    H: Array,
-    g: Array,
-    growth: float,
-    N: Array,
-    w: float,
-    compliance: float,
-    m: int,
-    along: Array,
-    coupling: Array,
-    K: Array,
-) -> None:
-    """Add the pressure field's share of a point: dJ/du times N, and the compliance of N.
-
-    Shapes: along, coupling (n_displacement,).
-    """
-    along[:] = 0.0
-    along_nodes(dN, H, g, 1.0, along)
-    add_coupling(along, w * growth, N, coupling)
-    add_compressibility(N, w, compliance, m, K)
-
-
 @kernel(nogil=True)
 def assemble(
     elements: Elements,
@@ -159,8 +135,11 @@ def assemble(
                 else:
                     full_tangent(law, f, constants, dim == 2, bend, stiff, work, tangent)
                     add_stiffness(dN, H, tangent, w, m, K)
-                if n_p > 0:
-                    add_pressure(dN, H, g, growth, N, w, compliance, m, along, coupling, K)
+                if n_p > 0:  # dJ/du times N, and the compliance of N
+                    along[:] = 0.0
+                    along_nodes(dN, H, g, 1.0, along)
+                    add_coupling(along, w * growth, N, coupling)
+                    add_compressibility(N, w, compliance, m, K)
         if kappa != 0.0:
             still = gradients[e], hoop[e], weights[e]
             add_unevenness(still, u, ratios, kappa, want_tangent, f, work, tangent, rates, R[e], K)

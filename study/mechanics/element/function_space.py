@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,16 +31,17 @@ from study.mechanics.setup.setup import Model
 _SAME = 1e-9
 
 
-class Nodes(Protocol):
+@dataclass(frozen=True)
+class Nodes:
     """Places that boundary conditions are laid on."""
 
-    @property
-    def nodes(self) -> Array:
-        """Reference positions, shape (n_nodes, dim)."""
+    #: shape (n_nodes, dim); reference positions; a bubble sits at its element's centroid.
+    nodes: Array
 
     @property
     def dim(self) -> int:
         """Number of displacement components."""
+        return int(self.nodes.shape[1])
 
 
 def at_level(space: Nodes, mesh: Mesh, level: float) -> Ints:
@@ -72,28 +73,18 @@ def _side_facets(space: Discretization, mesh: Mesh) -> Flags:
 
 #: scikit-fem's numbering of the corners of a hexahedron, seen from (bottom quad, top quad)
 _HEX_ORDER = [0, 4, 3, 1, 7, 5, 2, 6]
-#: order of the quadrature rule of (space, order, shape)
-_RULES = {
-    ("axisymmetric", "quadratic", "simplex"): 4,
-    ("axisymmetric", "linear", "simplex"): 4,
-    ("axisymmetric", "quadratic", "tensor"): 5,
-    ("axisymmetric", "linear", "tensor"): 3,
-    ("3d", "quadratic", "simplex"): 2,
-    ("3d", "linear", "simplex"): 2,
-    ("3d", "quadratic", "tensor"): 5,
-    ("3d", "linear", "tensor"): 3,
-}
+#: order of the quadrature rule, of simplices by the space, of others by the order
+_SIMPLEX_RULES = {"axisymmetric": 4, "3d": 2}
+_TENSOR_RULES = {"linear": 3, "quadratic": 5}
 #: and under an indenter, where a quadratic tetrahedron is stretched five times: looked at in
 #: four points only, it collapses between them
-_STRETCHED_RULES = {("3d", "quadratic", "simplex"): 5}
+_STRETCHED_RULE = 5
 
 
 @dataclass(frozen=True)
-class Discretization:
+class Discretization(Nodes):
     """Everything that the element loops need, computed once per mesh."""
 
-    #: shape (n_nodes, dim); reference positions; a bubble sits at its element's centroid.
-    nodes: Array
     #: shape (n_elements, n_local); nodes of each element.
     element_nodes: Ints
     #: shape (n_elements, m); unknowns of each element: displacements node by node, then pressures.
@@ -110,11 +101,6 @@ class Discretization:
     #: shape (n_facets,); area of each boundary facet in mm^2 (2 pi r times length in axisymmetric
     #: space).
     facet_weights: Array
-
-    @property
-    def dim(self) -> int:
-        """Number of displacement components."""
-        return int(self.nodes.shape[1])
 
     @property
     def shapes(self) -> Shapes:
@@ -135,14 +121,13 @@ class Discretization:
 
 def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discretization:
     """Shape-function arrays of a mesh for a model's element pair."""
-    axisymmetric = model.space == "axisymmetric"
-    rules = _RULES | _STRETCHED_RULES if stretched else _RULES
-    rule = rules[(model.space, model.element_order, model.element_shape)]
+    axisymmetric, simplex = model.space == "axisymmetric", model.element_shape == "simplex"
+    rule = _SIMPLEX_RULES[model.space] if simplex else _TENSOR_RULES[model.element_order]
+    if stretched and simplex and not axisymmetric and model.element_order == "quadratic":
+        rule = _STRETCHED_RULE
     basis = basis_of(mesh, model, rule)
-    ne, nq = basis.dx.shape
-    gradients = np.stack(
-        [np.broadcast_to(b[0].grad, (mesh.points.shape[1], ne, nq)) for b in basis.basis]
-    )
+    dim, (ne, nq) = mesh.points.shape[1], basis.dx.shape
+    gradients = np.stack([np.broadcast_to(b[0].grad, (dim, ne, nq)) for b in basis.basis])
     values = np.stack([np.broadcast_to(np.asarray(b[0]), (ne, nq)) for b in basis.basis])
     # one memory layout in both spaces: another would be compiled a second time
     weights, hoop = np.array(basis.dx), np.zeros((ne, nq, 1))
@@ -153,7 +138,6 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
     element_nodes = basis.element_dofs.T.astype(np.int64)
     nodes = np.array(basis.doflocs.T)
     pressure_shape, pressure_dofs = pressure_of(basis, model)
-    dim = mesh.points.shape[1]
     displacement = (dim * element_nodes[:, :, None] + np.arange(dim)).reshape(ne, -1)
     n_u = int(dim * len(nodes))
     n_p = int(pressure_dofs.max()) + 1 if pressure_dofs.size else 0
@@ -201,9 +185,8 @@ def basis_of(mesh: Mesh, model: Model, order: int) -> Any:
     stem = {"axisymmetric": ("Tri", "Quad"), "3d": ("Tet", "Hex")}[model.space][not simplex]
     if stem == "Hex":
         cells = cells[:, _HEX_ORDER]
-    fem_mesh = getattr(skfem, f"Mesh{stem}")(
-        np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(cells.T)
-    )
+    points, corners = (np.ascontiguousarray(rows.T) for rows in (mesh.points, cells))
+    fem_mesh = getattr(skfem, f"Mesh{stem}")(points, corners)
     degree = "2" if model.element_order == "quadratic" else "1"
     bubbles = simplex and degree == "1" and model.formulation == "mixed"
     if simplex:

@@ -133,9 +133,8 @@ def between_rows(setup: Setup, material: Material, displacement_mm: Array) -> Cu
     node, weight = gauss_points(_PLACES)
     begin, width = np.append(0.0, d)[:-1], np.diff(d, prepend=0.0)
     inside = begin[:, None] + width[:, None] * (1 + node) / 2
-    rows_needed, inverse = np.unique(
-        np.concatenate([d, first, second, inside.ravel()]), return_inverse=True
-    )
+    places = np.concatenate([d, first, second, inside.ravel()])
+    rows_needed, inverse = np.unique(places, return_inverse=True)
     every = at_rows(setup, material, Curve(rows_needed, np.empty(0)))
     force, first_force, two, along = np.split(every.force_N[inverse], d.size * np.arange(1, 4))
     # at the unloaded end a parabola through two places ahead, else both neighbors
@@ -161,12 +160,6 @@ def _check_height(height: float, d: Array, sense: float) -> None:
         raise InputError(Fault("test.displacement", rule, "measure or press less deep"))
 
 
-def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
-    """Force of a cylinder or block compressed between frictionless plates."""
-    # Shapes: displacement_mm (n,); returns MPa.
-    return homogeneous(specimen, material, displacement_mm)
-
-
 def neo_hookean_start(
     setup: Setup, volume: Compressibility, displacement_mm: Array, force_N: Array
 ) -> dict[str, float]:
@@ -180,13 +173,9 @@ def neo_hookean_start(
     model = _force_per_C10(setup, volume, np.asarray(displacement_mm, dtype=float))
     c10 = float(model @ force_N / (model @ model))
     if not np.isfinite(c10) or c10 <= 0:
-        raise InputError(
-            Fault(
-                "measurements",
-                "the measured force does not resist (wrong sign?)",
-                "check measurements.sign and the force column",
-            )
-        )
+        rule = "the measured force does not resist (wrong sign?)"
+        mend = "check measurements.sign and the force column"
+        raise InputError(Fault("measurements", rule, mend))
     return {"C10": c10}
 
 
@@ -199,21 +188,15 @@ def _force_per_C10(setup: Setup, volume: Compressibility, d: Array) -> Array:  #
     pressed = setup.test.indenter
     if pressed is None:
         return _elastic(setup, unit, d).force_N
-    nu = volume.poisson_ratio or 0.5
-    height = setup.height_mm
-    per_modulus = indentation(
-        pressed,
-        np.maximum(d, 0.0),
-        height_mm=np.inf if height is None else height,
-        poisson_ratio=nu,
-        bonded=setup.test.base == "bonded",
-    )
+    nu, height, bonded = volume.poisson_ratio or 0.5, setup.height_mm, setup.test.base == "bonded"
+    high, depth = np.inf if height is None else height, np.maximum(d, 0.0)
+    per_modulus = indentation(pressed, depth, height_mm=high, poisson_ratio=nu, bonded=bonded)
     # E = 4 (1 + nu) C10
     force = 4 * (1 + nu) * per_modulus
     if height is None or d.max(initial=0.0) >= height:
         return force
     # an indenter as wide as the specimen is a plate, and none needs more force than that
-    return np.minimum(force, compression(setup.specimen, unit, d).force_N)
+    return np.minimum(force, homogeneous(setup.specimen, unit, d).force_N)
 
 
 def solution(problem: Problem) -> Solution:

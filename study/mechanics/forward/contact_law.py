@@ -9,9 +9,9 @@ which is the depth at which a half-space is touched up to the radius t.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -185,8 +185,7 @@ def correction(layer: Layer, radius_mm: float, depth_mm: Array) -> Array:
 _POINTS = 48
 
 
-@dataclass(frozen=True)
-class ContactCondition:
+class ContactCondition(NamedTuple):
     """One contact of a given radius."""
 
     #: Depth at which the radius is reached; 0 on the face of a flat punch.
@@ -291,16 +290,14 @@ def force_law(
         if not isinstance(indenter, Sphere):
             raise ValueError(f"the published series is for spheres, got {indenter}")
         return _by_series(indenter, layer, deepest_mm)
-    support = (
-        layer if theory == "integral-equation" else Layer(np.inf, layer.poisson_ratio, layer.bonded)
-    )
+    half_space = replace(layer, height_mm=np.inf)
+    support = layer if theory == "integral-equation" else half_space
     radii = _radii(indenter, support, deepest_mm, paraboloid)
     states = [contact_state(support, indenter, a, paraboloid=paraboloid) for a in radii]
     if isinstance(indenter, Flat) and indenter.is_sharp_edged:
         depth, stiffness = deepest_mm * np.array([1e-3, 1.0]), np.full(2, states[0].stiffness_mm)
         return ContactForceLaw(depth, stiffness * depth, stiffness, np.full(2, indenter.radius_mm))
-    columns = ([s.depth_mm, s.force_mm2, s.stiffness_mm] for s in states)
-    depth, force, stiffness = np.array(list(columns)).T
+    depth, force, stiffness = np.array(states).T
     return ContactForceLaw(depth, force, stiffness, radii)
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 from study.mechanics.setup.geometry import Cylinder, Enclosed
 from study.mechanics.setup.setup import Problem
-from study.mechanics.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
+from study.mechanics.setup.test_kind import Singularity
 
 _DEGREE = {"linear": 1, "quadratic": 2}
 
@@ -52,12 +52,12 @@ def formal_order(problem: Problem) -> FormalOrder:
     smooth = 2.0 * _DEGREE[problem.model.element_order]
     degree = problem.model.element_order
     singularities = problem.setup.kind.singularities(problem.test)
-    singular = [_limit(problem, singularity) for singularity in singularities]
+    # of two equal limits the first counts: the problem's says more
+    limits = [_limit(problem, singularity) for singularity in singularities]
     if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
-        singular.append((2.0, "the cylinder's straight-sided elements"))
+        limits.append((2.0, "the cylinder's straight-sided elements"))
     if isinstance(problem.specimen, Enclosed):
-        singular.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
-    limits = singular  # first: of two equal limits the problem's says more
+        limits.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
     limits.append((smooth, f"{degree} elements: twice the order of their gradient"))
     order, why = min(limits, key=lambda item: item[0])
     return FormalOrder(order, why)
@@ -65,7 +65,7 @@ def formal_order(problem: Problem) -> FormalOrder:
 
 def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
     """Limit that a singularity sets, and why."""
-    if isinstance(singularity, ClampedCorner):
+    if singularity.kind == "clamped corner":
         K, mu = problem.material.bulk, problem.material.mu0
         exponent = clamped_corner(0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu)))
         if exponent < 1 and _is_deep(problem):
@@ -77,11 +77,11 @@ def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
             f"the corner between a bonded and a free face: the displacement goes as "
             f"s^{exponent:.3f} there"
         )
-    if isinstance(singularity, SharpEdge):
-        return 1.0, _sharp(problem, singularity.name)
-    if not isinstance(singularity, RoundedEdge):
+    if singularity.kind == "rim":
         return 2.0, _RIM
-    edge, size = singularity.radius_mm, element_size_mm(problem)
+    if singularity.name:
+        return 1.0, _sharp(problem, singularity.name)
+    edge, size = singularity.rounding_mm, element_size_mm(problem)
     if size > edge / _ACROSS_EDGE:
         return 1.0, (
             f"the edge of the flat punch, rounded with {edge:.3g} mm, which the coarsest mesh of "

@@ -14,6 +14,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import bdtr, stdtrit
 
 from study.ground.arrays import Array, Flags
+from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, settled
 from study.mechanics.forward.contact_law import (
     ContactForceLaw,
@@ -86,7 +87,7 @@ _MOST_CORRELATED = 0.99
 
 
 @dataclass(frozen=True)
-class CurveModulus:
+class CurveModulus(Keyed):
     """Modulus of one curve."""
 
     #: How the fit ended.
@@ -113,7 +114,7 @@ class CurveModulus:
         """Test of the file."""
         return "" if self.recording is None else self.recording.where
 
-    def to_json(self) -> dict[str, object]:
+    def keyed(self) -> dict[str, object]:
         """Plain values, moduli in kPa."""
         document = {**vars(self)}
         recording, low_high = document.pop("recording"), document.pop("interval_MPa")
@@ -267,11 +268,8 @@ def read_curves(
         except InputError as error:
             faults += error.faults
             curves.append((recording, str(error)))
-            counts.append(
-                RowCount(
-                    recording.kinetic.size, 0, {"of unreadable curves": recording.kinetic.size}
-                )
-            )
+            rows = recording.kinetic.size
+            counts.append(RowCount(rows, 0, {"of unreadable curves": rows}))
             continue
         lines += did
         counts.append(test.specimen.count)
@@ -286,8 +284,14 @@ def read_curves(
 
 
 @dataclass(frozen=True)
-class IndentationModulus:
+class IndentationModulus(Keyed):
     """Modulus of one test of a calibration file in closed form."""
+
+    KEYS = (
+        "test file indenter theory poisson_ratio height_mm limits youngs_modulus shear_modulus "
+        "block units=unit_moduli_kPa curves_read=curves.__len__ curves_fitted=fitted rows "
+        "rows_outside curves warnings"
+    )
 
     test: int
     file: str
@@ -322,27 +326,18 @@ class IndentationModulus:
         """Curves that have a modulus."""
         return sum(curve.status == "fitted" for curve in self.curves)
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values, moduli in kPa."""
-        return {
-            "test": self.test,
-            "file": self.file,
-            "indenter": self.indenter,
-            "theory": self.theory,
-            "poisson_ratio": self.poisson_ratio,
-            "height_mm": self.height_mm,
-            "limits": [limit.to_json() for limit in self.limits],
-            "youngs_modulus": self._estimate(1.0),
-            "shear_modulus": self._estimate(1 / (2 * (1 + self.poisson_ratio))),
-            "block": self.block,
-            "units": {k: _kilo(v) for k, v in self.unit_moduli_MPa.items()},
-            "curves_read": len(self.curves),
-            "curves_fitted": self.fitted,
-            "rows": self.rows,
-            "rows_outside": self.rows_outside,
-            "curves": [curve.to_json() for curve in self.curves],
-            "warnings": list(self.warnings),
-        }
+    @property
+    def unit_moduli_kPa(self) -> dict[str, float | None]:  # noqa: N802
+        """Median of the curves of every unit."""
+        return {unit: _kilo(modulus) for unit, modulus in self.unit_moduli_MPa.items()}
+
+    def youngs_modulus(self) -> dict[str, object] | None:
+        """Median over units with its interval."""
+        return self._estimate(1.0)
+
+    def shear_modulus(self) -> dict[str, object] | None:
+        """Median over units of the shear modulus, with its interval."""
+        return self._estimate(1 / (2 * (1 + self.poisson_ratio)))
 
     def _estimate(self, factor: float) -> dict[str, object] | None:
         estimate = self.estimate
@@ -359,8 +354,11 @@ class IndentationModulus:
 
 
 @dataclass(frozen=True)
-class AnalyticCalibration:
+class AnalyticCalibration(Keyed):
     """What ``study calibrate --method analytic`` found."""
+
+    KEYS = "name method tests notes seconds"
+    method = "analytic"
 
     name: str
     tests: tuple[IndentationModulus, ...]
@@ -373,16 +371,6 @@ class AnalyticCalibration:
     def is_complete(self) -> bool:
         """Whether every test has a modulus."""
         return all(test.estimate is not None for test in self.tests)
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study calibrate --method analytic --json``."""
-        return {
-            "name": self.name,
-            "method": "analytic",
-            "tests": [test.to_json() for test in self.tests],
-            "notes": list(self.notes),
-            "seconds": self.seconds,
-        }
 
 
 def _kilo(value_MPa: float | None) -> float | None:

@@ -31,7 +31,9 @@ from study.mechanics.mesh.structured import (
     quarter_circle,
     quarter_disc_of_quadrilaterals,
     rectangle,
+    ringed,
     spread,
+    strips,
 )
 from study.mechanics.setup.geometry import Block, Cylinder, Specimen
 from study.mechanics.setup.setup import Setup
@@ -62,14 +64,11 @@ def punched(specimen: Cylinder | Block, field: SizeField) -> tuple[Array, Ints]:
     depth = line_from(field.top_mm, partial(_below, field, field.ring_mm))
     core, rings = _rings(specimen, field, depth)
     beyond = _beyond(specimen, field, rings[0, -1])
-    plane = np.concatenate(
-        [
-            np.broadcast_to(core.reshape(-1, 2), (depth.size, core.size // 2, 2)),
-            rings[:, 1:].reshape(depth.size, -1, 2),
-            np.broadcast_to(beyond.reshape(-1, 2), (depth.size, beyond.size // 2, 2)),
-        ],
-        axis=1,
+    inside, outside = (
+        np.broadcast_to(part.reshape(-1, 2), (depth.size, part.size // 2, 2))
+        for part in (core, beyond)
     )
+    plane = np.concatenate([inside, rings[:, 1:].reshape(depth.size, -1, 2), outside], axis=1)
     quads = _quadrilaterals(len(core), rings.shape[1] - 1, beyond)
     points, cells = extrude(plane[0], quads, -depth[::-1])
     points[:, :2] = plane[::-1].reshape(-1, 2)
@@ -104,20 +103,14 @@ def _rings(specimen: Cylinder | Block, field: SizeField, depth: Array) -> tuple[
     ray = quarter_circle(1.0, np.linspace(0, np.pi / 2, 2 * n + 1))
     # 0 on the axes, 1 at the corner of a square
     corner = (1 / ray.max(axis=1) - 1) / (np.sqrt(2) - 1)
-    core, sides = (
-        np.asarray(CORE * ring * (1 + (BULGE - 1) * corner)[:, None] * ray),
-        _sides(specimen, ray),
-    )
+    core = np.asarray(CORE * ring * (1 + (BULGE - 1) * corner)[:, None] * ray)
+    sides = _sides(specimen, ray)
     inner = _rays(ring - np.hypot(*core.T), lambda s: inward(field).at(ring - s, field.top_mm))
     lengths = np.hypot(*sides.T) - ring
     straight = _rays(lengths, partial(_beside, field, 0.0))
     steps = straight.shape[1] - 1
-    sizes = np.array(
-        [
-            [_even(length, steps, partial(_beside, field, down)) for length in lengths]
-            for down in depth
-        ]
-    )
+    at_depths = [partial(_beside, field, down) for down in depth]
+    sizes = np.array([[_even(length, steps, size) for length in lengths] for size in at_depths])
     outer = np.asarray((1 - _BENT) * straight + _BENT * sizes)
     inside = np.broadcast_to(ring - inner[:, ::-1], (depth.size, *inner.shape))
     radii = np.concatenate([inside, ring + outer[:, :, 1:]], axis=2).swapaxes(1, 2)
@@ -176,24 +169,14 @@ def _filled(border: Array) -> Array:
 
 def _quadrilaterals(side: int, rings: int, beyond: Array) -> Ints:
     """Corners: of the middle block with ``side`` points, of the rings, and of what is beyond."""
-    _, quads = rectangle(np.arange(float(side)), np.arange(float(side)), "tensor")
-    index = np.arange(side**2).reshape(side, side)
-    border = np.concatenate([index[:, -1], index[-1, -2::-1]])
-    new = index.size + np.arange(rings * border.size).reshape(rings, -1)
-    cells = [quads, _strips(np.vstack([border, new]))]
+    cells = [*ringed(side, rings)]
     if len(beyond):
-        along_x = beyond[0, 0, 1] == 0
-        last = new[-1, :side] if along_x else new[-1, side - 1 :]
-        lines = new.max() + 1 + np.arange(len(beyond) * side).reshape(-1, side)
-        cells.append(_strips(np.vstack([last, lines])))
+        count = side**2 + rings * (2 * side - 1)
+        last = np.arange(count - 2 * side + 1, count)
+        last = last[:side] if beyond[0, 0, 1] == 0 else last[side - 1 :]  # along x, else y
+        lines = count + np.arange(len(beyond) * side).reshape(-1, side)
+        cells.append(strips(np.vstack([last, lines])))
     return np.vstack(cells)
-
-
-def _strips(number: Ints) -> Ints:
-    """Quadrilaterals between numbered lines of points, each further out than the last."""
-    near, far = number[:-1], number[1:]
-    cells = [near[:, :-1], far[:, :-1], far[:, 1:], near[:, 1:]]
-    return np.stack(cells, axis=-1).reshape(-1, 4)
 
 
 def _depths(plane: Array, depth: Array, field: SizeField) -> Array:
@@ -204,9 +187,8 @@ def _depths(plane: Array, depth: Array, field: SizeField) -> Array:
     column = rho / rho.max() * (_COLUMNS - 1)
     low = np.minimum(column.astype(int), _COLUMNS - 2)
     part = (column - low)[:, None]
-    return np.asarray(
-        (1 - _BENT) * depth + _BENT * ((1 - part) * depths[low] + part * depths[low + 1])
-    )
+    between = (1 - part) * depths[low] + part * depths[low + 1]
+    return np.asarray((1 - _BENT) * depth + _BENT * between)
 
 
 def _even(length: float, steps: int, size: Size) -> Array:
@@ -269,16 +251,7 @@ def sizes_of(setup: Setup) -> SizeField:
 def _grid(setup: Setup, field: SizeField) -> tuple[Array, Ints]:
     """Quadrilaterals or hexahedra on lines that follow the sizes along the top and the axis."""
     (specimen, contact), space = _indented(setup), setup.model.space
-    pointed, ring = contact.indenter.is_pointed, contact.indenter.face_radius_mm
-    wide, tall = UNDER_CONE[setup.model.element_order] if pointed else (1.0, 1.0)
-    top = np.array([field.top_mm])
-
-    def along_top(rho: Array) -> Array:
-        return wide * field.at(rho, top)
-
-    def along_axis(depth: Array) -> Array:
-        return tall * field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
-
+    ring, (along_top, along_axis) = contact.indenter.face_radius_mm, grid_sizes(setup, field)
     if field.even and 0 < ring < equivalent_radius(specimen):  # in a plane: see size_field
         r = line_about(equivalent_radius(specimen), along_top, ring)
         depth = line_from(field.top_mm, along_axis)
@@ -292,6 +265,20 @@ def _grid(setup: Setup, field: SizeField) -> tuple[Array, Ints]:
         return extrude(*rectangle(x, y, "tensor"), z)
     lines = line_by_size(specimen.radius_mm, along_top, ring)
     return extrude(*quarter_disc_of_quadrilaterals(lines), z)
+
+
+def grid_sizes(setup: Setup, field: SizeField) -> tuple[Size, Size]:
+    """Sizes of a grid along the top, and along the axis by the depth."""
+    pointed = _indented(setup)[1].indenter.is_pointed
+    wide, tall = UNDER_CONE[setup.model.element_order] if pointed else (1.0, 1.0)
+
+    def along_top(rho: Array) -> Array:
+        return wide * field.at(rho, field.top_mm)
+
+    def along_axis(depth: Array) -> Array:
+        return tall * _below(field, field.ring_mm, depth)
+
+    return along_top, along_axis
 
 
 def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
@@ -354,14 +341,12 @@ def generated(gmsh: ModuleType, dim: int) -> tuple[Array, Ints]:
         raise MeshError(
             f"an element is too flat (quality {poorest:.2g}): change mesh_size a little"
         )
-    number = np.zeros(int(max(tags)) + 1, dtype=np.int64)
-    cells = np.asarray(corners, dtype=np.int64).reshape(-1, dim + 1)
-    used = np.unique(cells)  # nodes of embedded construction points may belong to no cell
-    number[used] = np.arange(used.size)
+    # nodes of embedded construction points may belong to no cell
+    used, cells = np.unique(np.asarray(corners, dtype=np.int64), return_inverse=True)
     order = np.argsort(tags)
     index = np.searchsorted(np.asarray(tags)[order], used)
     points = np.asarray(coordinates).reshape(-1, 3)[order][index]
-    return points, number[cells]
+    return points, cells.reshape(-1, dim + 1)
 
 
 def _triangles(radius: float, height: float, field: SizeField, ring: float) -> tuple[Array, Ints]:
@@ -427,7 +412,11 @@ def _quarter(
     geo, lines = gmsh.model.geo, dict[tuple[int, int], int]()
     low = [geo.addPoint(0, 0, 0), *(geo.addPoint(x, y, 0) for x, y in outline)]
     high = [geo.addPoint(0, 0, height), *(geo.addPoint(x, y, height) for x, y in outline)]
-    arc = _arc(gmsh, ring, height, field) if 0 < ring < outline[:, 0].max() else []
+    arc: list[int] = []
+    if 0 < ring < outline[:, 0].max():  # of the polygon that follows the circle, from x to y
+        segments = max(4, int(np.ceil(np.pi / 2 * ring / float(field.at(ring, height)))))
+        circle = quarter_circle(ring, np.linspace(0, np.pi / 2, segments + 1))
+        arc = [int(geo.addPoint(x, y, height)) for x, y in circle]
     faces = [_face(gmsh, low, lines)]
     n = len(low)
     for i in range(n):
@@ -444,13 +433,6 @@ def _quarter(
     else:
         faces.append(_face(gmsh, high, lines))
     geo.addVolume([geo.addSurfaceLoop(faces)])
-
-
-def _arc(gmsh: ModuleType, ring: float, height: float, field: SizeField) -> list[int]:
-    """Points of the polygon that follows a circle about the axis, from x to y."""
-    segments = max(4, int(np.ceil(np.pi / 2 * ring / float(field.at(ring, height)))))
-    places = quarter_circle(ring, np.linspace(0, np.pi / 2, segments + 1))
-    return [int(gmsh.model.geo.addPoint(x, y, height)) for x, y in places]
 
 
 def _face(gmsh: ModuleType, corners: list[int], lines: dict[tuple[int, int], int]) -> int:

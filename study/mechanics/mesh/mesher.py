@@ -17,7 +17,6 @@ from study.ground.errors import MeshError
 from study.mechanics.mesh.graded import indentation_mesh, sizes_of
 from study.mechanics.mesh.solid import surface_mesh, surface_mesh_size
 from study.mechanics.mesh.structured import (
-    KINDS,
     Mesh,
     cross_section,
     edges_and_facets,
@@ -25,6 +24,7 @@ from study.mechanics.mesh.structured import (
     extrude,
     graded_line,
     layers,
+    outer,
     rectangle,
 )
 from study.mechanics.setup.geometry import Enclosed, Specimen
@@ -65,18 +65,16 @@ def build_mesh(setup: Setup) -> Mesh:
     if seed is None:
         return mesh
     nodes, neighbors = _steps_allowed(mesh)
-    fixed = _at_edge(setup.grading, mesh)
-    if fixed is not None:
-        movable = ~fixed[nodes]
-        nodes, neighbors = nodes[movable], neighbors[movable]
+    movable = ~_at_edge(setup.grading, mesh)[nodes]
+    nodes, neighbors = nodes[movable], neighbors[movable]
     moved = _random_steps(mesh.points, nodes, neighbors, np.random.default_rng(seed))
     return replace(mesh, points=_tamed(mesh, moved))
 
 
-def _at_edge(grading: MeshGrading, mesh: Mesh) -> Flags | None:
+def _at_edge(grading: MeshGrading, mesh: Mesh) -> Flags:
     """Nodes that follow the edge of a flat end: they are part of what is modelled."""
     if not isinstance(grading, AroundContact) or not grading.indenter.has_face:
-        return None
+        return np.zeros(len(mesh.points), dtype=bool)
     ring = grading.indenter.face_radius_mm
     rho = np.linalg.norm(mesh.points[:, :-1], axis=1)
     on_top = mesh.points[:, -1] >= mesh.height_mm * (1 - 1e-9)
@@ -132,25 +130,19 @@ _LEAST_SHARE = 0.3
 _TRIES = 12
 #: out of the plane of a facet, over the size of the specimen
 _FLAT = 1e-9
-#: by (dimension, vertices): for every corner the vertex and its neighbors
-_CORNERS: dict[tuple[int, int], list[tuple[int, ...]]] = {
-    (2, 3): [(0, 1, 2)],
-    (2, 4): [(0, 1, 3), (1, 2, 0), (2, 3, 1), (3, 0, 2)],
-    (3, 4): [(0, 1, 2, 3)],
-    (3, 8): [(0, 1, 3, 4), (1, 2, 0, 5), (2, 3, 1, 6), (3, 0, 2, 7), (4, 7, 5, 0), (5, 4, 6, 1),
-             (6, 5, 7, 2), (7, 6, 4, 3)],
+#: for every corner of a cell the vertex and its neighbors
+_CORNERS: dict[str, list[tuple[int, ...]]] = {
+    "triangle": [(0, 1, 2)],
+    "quad": [(0, 1, 3), (1, 2, 0), (2, 3, 1), (3, 0, 2)],
+    "tetra": [(0, 1, 2, 3)],
+    "hexahedron": [(0, 1, 3, 4), (1, 2, 0, 5), (2, 3, 1, 6), (3, 0, 2, 7), (4, 7, 5, 0),
+                   (5, 4, 6, 1), (6, 5, 7, 2), (7, 6, 4, 3)],
 }  # fmt: skip
-
-
-def _kind(mesh: Mesh) -> tuple[int, int]:
-    return mesh.points.shape[1], mesh.cells.shape[1]
 
 
 def _steps_allowed(mesh: Mesh) -> tuple[Ints, Ints]:
     """Pairs of a node and a neighbor that it may step towards, sorted by node."""
-    edges = np.vstack(
-        [mesh.cells[:, list(edge)] for edge in edges_and_facets(KINDS[_kind(mesh)])[0]]
-    )
+    edges = np.vstack([mesh.cells[:, list(edge)] for edge in edges_and_facets(mesh.kind)[0]])
     pairs = np.unique(np.vstack([edges, edges[:, ::-1]]), axis=0)
     corner, normal = _boundary_normals(mesh)
     first, last = (np.searchsorted(pairs[:, 0], corner, side) for side in ("left", "right"))
@@ -167,19 +159,16 @@ def _steps_allowed(mesh: Mesh) -> tuple[Ints, Ints]:
 
 def _boundary_normals(mesh: Mesh) -> tuple[Ints, Array]:
     """Nodes of boundary facets and the facets' unit normals, one row for each pair of them."""
-    parts = edges_and_facets(KINDS[_kind(mesh)])[1]
+    parts = edges_and_facets(mesh.kind)[1]
     facets = np.vstack([mesh.cells[:, list(facet)] for facet in parts])
-    _, first, count = np.unique(
-        np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    outer = facets[first[count == 1]]
-    along = mesh.points[outer[:, 1:]] - mesh.points[outer[:, :1]]
+    rim = facets[outer(facets)]
+    along = mesh.points[rim[:, 1:]] - mesh.points[rim[:, :1]]
     if mesh.points.shape[1] == 2:
         normal = np.column_stack([along[:, 0, 1], -along[:, 0, 0]])
     else:
         normal = np.cross(along[:, 0], along[:, 1])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    return outer.ravel(), np.repeat(normal, outer.shape[1], axis=0)
+    return rim.ravel(), np.repeat(normal, rim.shape[1], axis=0)
 
 
 def _random_steps(
@@ -215,7 +204,7 @@ def _tamed(mesh: Mesh, moved: Array) -> Array:
 def _volumes(mesh: Mesh, points: Array) -> Array:
     """Signed volume (times a constant) at the corners of elements, shape (corners, n_cells)."""
     volumes = []
-    for vertex, *others in _CORNERS[_kind(mesh)]:
+    for vertex, *others in _CORNERS[mesh.kind]:
         origin = points[mesh.cells[:, vertex]]
         volumes.append(np.linalg.det(points[mesh.cells[:, others]] - origin[:, None]))
     return np.array(volumes)

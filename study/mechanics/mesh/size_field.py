@@ -112,14 +112,8 @@ class SizeField:
 
     def scaled(self, factor: float) -> SizeField:
         """Return the field with every size and the growth multiplied by ``factor``."""
-        return replace(
-            self,
-            size_mm=self.size_mm * factor,
-            finest_mm=self.finest_mm * factor,
-            largest_mm=self.largest_mm * factor,
-            zone_mm=self.zone_mm * factor,
-            growth=self.growth * factor,
-        )
+        names = ("size_mm", "finest_mm", "largest_mm", "zone_mm", "growth")
+        return replace(self, **{name: getattr(self, name) * factor for name in names})
 
 
 @part()

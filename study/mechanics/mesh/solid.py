@@ -187,9 +187,8 @@ def surface_mesh(setup: Setup) -> Mesh:
     volume = _volume(points, cells)
     lost = abs(volume / solid.volume_mm3 - 1)
     if lost > _LOST:
-        rule = (
-            f"the mesh has {volume:.4g} mm^3 where the surface encloses {solid.volume_mm3:.4g} mm^3"
-        )
+        enclosed = f"{solid.volume_mm3:.4g} mm^3"
+        rule = f"the mesh has {volume:.4g} mm^3 where the surface encloses {enclosed}"
         finer = field.size_mm * float(np.sqrt(_LOST / lost))
         raise MeshError(f"{rule}: a mesh_size of {finer:.2g} mm or less follows the shape")
     wider = float(np.sqrt(solid.volume_mm3 / _volume(points, cells)))

@@ -31,7 +31,7 @@ _HEX_EDGES = [
     *_QUAD, (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
 ]  # fmt: skip
 _HEX_FACES = [
-    (0, 3, 4, 7), (1, 2, 5, 6), (0, 1, 4, 5), (2, 3, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7),
+    (3, 0, 4, 7), (1, 2, 6, 5), (0, 1, 5, 4), (2, 3, 7, 6), (0, 1, 2, 3), (4, 5, 6, 7),
 ]  # fmt: skip
 MIDDLES: dict[str, list[tuple[int, ...]]] = {
     "triangle6": [*_TRIANGLE],
@@ -41,9 +41,7 @@ MIDDLES: dict[str, list[tuple[int, ...]]] = {
 }
 #: cells by their dimension and number of corners, as meshio names them, and those with all middles
 KINDS = {(2, 3): "triangle", (2, 4): "quad", (3, 4): "tetra", (3, 8): "hexahedron"}
-QUADRATIC = {
-    "triangle": "triangle6", "quad": "quad9", "tetra": "tetra10", "hexahedron": "hexahedron27",
-}  # fmt: skip
+QUADRATIC = dict(zip(KINDS.values(), MIDDLES, strict=True))
 #: corners of a cell in the order that its mirror image needs
 _MIRRORED = {
     "triangle": [1, 0, 2], "quad": [1, 0, 3, 2], "tetra": [0, 1, 3, 2],
@@ -72,13 +70,20 @@ def mirror(
 
 
 def edges_and_facets(kind: str) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
-    """Edges and outer facets of a cell by their corners; in a plane they are the same."""
+    """Edges and outer facets of a cell by their corners in a row; in a plane they are the same."""
     middles = MIDDLES[QUADRATIC[kind]]
     edges: list[tuple[int, ...]] = [m for m in middles if len(m) == 2]
     faces: list[tuple[int, ...]] = [m for m in middles if len(m) == 4]
     if kind == "tetra":
         return edges, [*combinations(range(4), 3)]
     return edges, faces if kind == "hexahedron" else edges
+
+
+def outer(facets: Ints) -> Ints:
+    """Places, in a list of all cells' facets, of those that belong to one cell alone."""
+    rows = np.sort(facets, axis=1)
+    _, first, count = np.unique(rows, axis=0, return_index=True, return_counts=True)
+    return np.asarray(first[count == 1])
 
 
 def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
@@ -175,9 +180,9 @@ def half_hexagon(side: float, halvings: int) -> tuple[Array, Ints, Ints]:
 def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Array:
     """Heights of the layers, closer at bonded plates; of the upper half only where asked."""
     # Units: height, h mm.
-    if half:
-        return height / 2 + graded_line(height / 2, h, towards_end=top)
     upper = height / 2 + graded_line(height / 2, h, towards_end=top)
+    if half:
+        return upper
     lower = height / 2 - graded_line(height / 2, h, towards_end=base)[::-1]
     return np.concatenate([lower, upper[1:]])
 
@@ -279,23 +284,30 @@ def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Ar
     angle = np.pi / 4 * inner / side
     angles = np.concatenate([angle, np.pi / 2 - angle[-2::-1]])
     rim = radius * np.sqrt(np.pi / 2 / np.sin(np.diff(angles)).sum())
-    border = np.concatenate(
-        [
-            np.column_stack([np.full(m + 1, side), inner]),
-            np.column_stack([inner[-2::-1], np.full(m, side)]),
-        ]
-    )
+    along_y, along_x = np.full(m + 1, side), np.full(m, side)
+    border = np.column_stack([np.r_[along_y, inner[-2::-1]], np.r_[inner, along_x]])
     rings = border + fraction[:, None, None] * (quarter_circle(rim, angles) - border)
-    core, quads = rectangle(inner, inner, "tensor")
-    on_border = np.concatenate(
-        [np.arange(m + 1) * (m + 1) + m, m * (m + 1) + np.arange(m - 1, -1, -1)]
-    )
-    number = np.vstack(
-        [on_border, len(core) + np.arange(fraction.size * (2 * m + 1)).reshape(-1, 2 * m + 1)]
-    )
-    around = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], -1)
-    points = np.vstack([core, rings.reshape(-1, 2)])
-    return points, np.vstack([quads, around.reshape(-1, 4)])
+    points = np.vstack([rectangle(inner, inner, "tensor")[0], rings.reshape(-1, 2)])
+    return points, np.vstack(ringed(m + 1, fraction.size))
+
+
+def ringed(side: int, rings: int) -> tuple[Ints, Ints]:
+    """Quadrilaterals of a square of ``side`` by ``side`` points, and of the rings about it.
+
+    A ring has a point for each on the two outer sides of the square; they are numbered after it.
+    """
+    _, quads = rectangle(np.arange(float(side)), np.arange(float(side)), "tensor")
+    index = np.arange(side**2).reshape(side, side)
+    border = np.concatenate([index[:, -1], index[-1, -2::-1]])
+    new = index.size + np.arange(rings * border.size).reshape(rings, -1)
+    return quads, strips(np.vstack([border, new]))
+
+
+def strips(number: Ints) -> Ints:
+    """Quadrilaterals between numbered lines of points, each further out than the last."""
+    near, far = number[:-1], number[1:]
+    cells = [near[:, :-1], far[:, :-1], far[:, 1:], near[:, 1:]]
+    return np.stack(cells, axis=-1).reshape(-1, 4)
 
 
 def _stitch(inner: Ints, outer: Ints) -> list[tuple[int, int, int]]:
@@ -326,13 +338,8 @@ def extrude(plane: Array, faces: Ints, z: Array) -> tuple[Array, Ints]:
     a, b, c = np.sort(faces, axis=1).T
     # diagonals run from the lower-numbered foot to the higher-numbered head, so that
     # neighbouring prisms cut their common side alike
-    tetrahedra = np.stack(
-        [
-            np.stack([a, b, c, c + n], axis=-1),
-            np.stack([a, b, b + n, c + n], axis=-1),
-            np.stack([a, a + n, b + n, c + n], axis=-1),
-        ]
-    ).reshape(-1, 4)
+    parts = [[a, b, c, c + n], [a, b, b + n, c + n], [a, a + n, b + n, c + n]]
+    tetrahedra = np.concatenate([np.column_stack(corners) for corners in parts])
     return points, (tetrahedra[None] + shift).reshape(-1, 4)
 
 
@@ -356,6 +363,11 @@ class Mesh:
     finest_mm: float | None = None
     #: Whether nothing is left out that symmetry would add, whatever its setup needs.
     is_whole: bool = False
+
+    @property
+    def kind(self) -> str:
+        """Name of its cells."""
+        return KINDS[(self.points.shape[1], self.cells.shape[1])]
 
     @property
     def contact_size_mm(self) -> float:

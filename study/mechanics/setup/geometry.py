@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -327,11 +327,5 @@ Enclosed = Surface | Brain
 Specimen = Cylinder | Block | Surface | Brain | Homogeneous
 Indenter = Flat | Cone | Sphere
 #: every shape by its name in a file
-SPECIMENS: dict[str, type[Specimen]] = {
-    "cylinder": Cylinder,
-    "block": Block,
-    "surface": Surface,
-    "brain": Brain,
-    "homogeneous": Homogeneous,
-}
-INDENTERS: dict[str, type[Indenter]] = {"flat": Flat, "cone": Cone, "sphere": Sphere}
+SPECIMENS: dict[str, type[Specimen]] = {kind.shape: kind for kind in get_args(Specimen)}
+INDENTERS: dict[str, type[Indenter]] = {kind.shape: kind for kind in get_args(Indenter)}

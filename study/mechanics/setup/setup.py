@@ -16,8 +16,6 @@ from study.mechanics.setup.test_kind import (
     Contact,
     FaceCondition,
     MeshGrading,
-    StepRule,
-    StepSettings,
     Test,
     TestKind,
     TowardsPlates,
@@ -128,8 +126,10 @@ class Setup:
 
     @property
     def is_homogeneous(self) -> bool:
-        """Whether the deformation is the same everywhere; see :func:`is_homogeneous`."""
-        return is_homogeneous(self.test, self.specimen.shape)
+        """Whether the deformation is the same everywhere, as between frictionless plates."""
+        # The closed form is then exact, and space, mesh, order and element shape cannot matter.
+        can_be = self.specimen.shape in HOMOGENEOUS_SHAPES and not self.test.weight_N_mm3
+        return can_be and self.kind.is_homogeneous(self.test)
 
     @property
     def has_no_elements(self) -> bool:
@@ -144,10 +144,6 @@ class Setup:
         # 0.2 to 0.8 % away in force. The one that a load path from zero reaches is the answer.
         linear_solid = self.model.space == "3d" and self.model.element_order == "linear"
         return linear_solid and self.kind.strains_locally
-
-    def step_rule(self, settings: StepSettings, height_mm: float) -> StepRule:
-        """Load steps of the test on a specimen of some height."""
-        return self.kind.steps(self.test, height_mm, settings)
 
     def problem(self, material: Material, displacement_mm: float | None = None) -> Problem:
         """Problem of this setup."""
@@ -167,13 +163,6 @@ class Problem:
     def setup(self) -> Setup:
         """All but the material: what a mesh and its constraints depend on."""
         return Setup(self.specimen, self.test, self.model)
-
-
-def is_homogeneous(test: Test, shape: str) -> bool:
-    """Whether a deformation is the same everywhere, as between frictionless plates."""
-    # The closed form is then exact, and space, mesh, order and element shape cannot matter.
-    weightless = not test.weight_N_mm3
-    return weightless and shape in HOMOGENEOUS_SHAPES and TEST_KINDS[test.kind].is_homogeneous(test)
 
 
 def mesh_level(model: Model) -> float:

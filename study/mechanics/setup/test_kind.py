@@ -262,32 +262,16 @@ MeshGrading = TowardsPlates | AroundContact
 
 
 @dataclass(frozen=True)
-class ClampedCorner:
-    """Right angle between a bonded and a free face."""
+class Singularity:
+    """Place of the surface that limits the order of the force."""
 
-
-@dataclass(frozen=True)
-class SharpEdge:
-    """Edge of a rigid face, where the pressure goes as the inverse root of the distance."""
-
-    #: As a sentence calls it.
-    name: str
-
-
-@dataclass(frozen=True)
-class RoundedEdge:
-    """Edge of a rigid face that looks sharp to elements as large as its radius."""
-
-    #: Of the rounding.
-    radius_mm: float
-
-
-@dataclass(frozen=True)
-class ContactRim:
-    """Rim of a smooth contact, which a mesh places to within an element."""
-
-
-Singularity = ClampedCorner | SharpEdge | RoundedEdge | ContactRim
+    #: Right angle between a bonded and a free face, edge of a rigid face where the pressure goes as
+    #: the inverse root of the distance, or rim of a smooth contact.
+    kind: Literal["clamped corner", "edge", "rim"]
+    #: Of a sharp edge, as a sentence calls it; radius of a rounded one, which looks sharp to
+    #: elements as large.
+    name: str = ""
+    rounding_mm: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -300,8 +284,6 @@ class TestKind(ABC):
         Whether a test of this kind needs an indenter.
     compresses : bool
         Whether two plates shorten the specimen along its axis, and do nothing else.
-    shears : bool
-        Whether it is a simple shear, which may be preceded by a stretch.
     strains_locally : bool
         Whether single places are stretched several times: elements are stabilized there.
     sense : float
@@ -316,11 +298,15 @@ class TestKind(ABC):
 
     takes_indenter: bool = False
     compresses: bool = False
-    shears: bool = False
     strains_locally: bool = False
     sense: float = -1.0
     mode: str = "uniaxial"
     needs_homogeneous: bool = False
+
+    @property
+    def shears(self) -> bool:
+        """Whether it is a simple shear, which may be preceded by a stretch."""
+        return self.mode == "simple-shear"
 
     def usual_base(self, interface: Interface) -> Interface:
         """Condition of the base where a file leaves it out: fixed to what it lies on."""
@@ -353,7 +339,8 @@ class TestKind(ABC):
 
     def singularities(self, test: Test) -> tuple[Singularity, ...]:
         """Corners and edges that limit the order of the force: usually rims of held faces."""
-        return (ClampedCorner(),) if any(face.is_held for face in self.faces(test)) else ()
+        is_held = any(face.is_held for face in self.faces(test))
+        return (Singularity("clamped corner"),) if is_held else ()
 
     @abstractmethod
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
@@ -497,10 +484,11 @@ class Indentation(TestKind):
         """Edge of a flat face, or the rim of a smooth contact."""
         pressed = indenter_of_test(test)
         if pressed.is_sharp_edged:
-            return (SharpEdge("sharp edge"),)
+            return (Singularity("edge", "sharp edge"),)
         if holds_face(test):
-            return (SharpEdge("rim of the bonded face"),)
-        return (RoundedEdge(pressed.rounding_mm) if pressed.has_face else ContactRim(),)
+            return (Singularity("edge", "rim of the bonded face"),)
+        rounded = Singularity("edge", rounding_mm=pressed.rounding_mm)
+        return (rounded if pressed.has_face else Singularity("rim"),)
 
     def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
         """Depth, shape of the indenter, and what it could touch."""
@@ -622,11 +610,8 @@ class PlateMotion(Compression):
     def faces(self, test: Test) -> tuple[FaceCondition, ...]:
         """Prescribe every component above; the face below is held, or slides."""
         share = 1.0 / test.displacement_mm if test.displacement_mm else 0.0  # open for now
-        besides = test.motion or FaceMotion()
-        return (
-            FaceCondition("top", self.sense, True, besides=besides, share_per_mm=share),
-            FaceCondition("base", 0.0, test.base == "bonded"),
-        )
+        motion, (_, base) = test.motion or FaceMotion(), super().faces(test)
+        return FaceCondition("top", self.sense, True, besides=motion, share_per_mm=share), base
 
 
 #: every kind of test by its name in a file
@@ -638,7 +623,7 @@ TEST_KINDS: dict[str, TestKind] = {
     "equibiaxial": GaugeSection(mode="equibiaxial"),
     "planar": GaugeSection(mode="planar"),
     "biaxial": GaugeSection(mode="biaxial"),
-    "simple-shear": GaugeSection(mode="simple-shear", shears=True),
+    "simple-shear": GaugeSection(mode="simple-shear"),
     "volumetric": GaugeSection(mode="volumetric", sense=-1.0),
     "confined-compression": GaugeSection(mode="confined", sense=-1.0),
 }

@@ -10,12 +10,14 @@ free, so that the two sides sway together (Healey 1988, Comput. Methods Appl. Me
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from study.ground.arrays import Array, Ints
+from study.ground.canonical import Keyed
 from study.mechanics.contact.collocation import _ring_shares
 from study.mechanics.contact.contact import Constraints, TiedPoints, prescribed_rates
 from study.mechanics.element.function_space import (
@@ -26,7 +28,7 @@ from study.mechanics.element.function_space import (
     middle_nodes,
     symmetric_product,
 )
-from study.mechanics.mesh.structured import KINDS, Mesh, mirror
+from study.mechanics.mesh.structured import MIDDLES, Mesh, mirror
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_kind import buckling_strain, weight_strain
 from study.mechanics.solver.internal_force import ContactBlocks, Tangent
@@ -65,29 +67,22 @@ _CORRECTIONS = 12
 
 
 @dataclass(frozen=True)
-class Instability:
+class Instability(Keyed):
     """Where an equilibrium becomes unstable, and the way in which it gives way."""
+
+    KEYS = "displacement_mm stable_mm unstable_mm sway"
 
     #: Where the least stiffness passes zero, by a line between the two steps.
     displacement_mm: float
     #: The last step that is stable and the first that is not.
     stable_mm: float
     unstable_mm: float
-    #: {"x", "y", ""}: direction of a sway that the model's symmetry hides.
-    sway: str
+    #: {"x", "y", None}: direction of a sway that the model's symmetry hides.
+    sway: str | None
     #: shape (n_nodes, dim); motion of the nodes of the modelled part, the largest of length 1.
     mode: Array
     #: {-1, 1} by axis: the same motion mirrored, where the model has a plane of symmetry.
     parity: tuple[int, ...] = (1, 1, 1)
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study solve --json``, without the mode."""
-        return {
-            "displacement_mm": self.displacement_mm,
-            "stable_mm": self.stable_mm,
-            "unstable_mm": self.unstable_mm,
-            "sway": self.sway or None,
-        }
 
     @property
     def sentence(self) -> str:
@@ -214,9 +209,8 @@ def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, .
     if space.dim < 3 or mesh.is_whole or system.material.small_strain or critical is None:
         return None
     shortened = setup.test.depth_mm / mesh.height_mm
-    if shortened + weight_strain(setup.test, mesh.height_mm, system.material.mu0) < (
-        SUSPICIOUS * critical
-    ):
+    shortened += weight_strain(setup.test, mesh.height_mm, system.material.mu0)
+    if shortened < SUSPICIOUS * critical:
         return None
     width = getattr(setup.specimen, "width_mm", 0.0)
     axis = 1 if width > getattr(setup.specimen, "depth_mm", width) else 0
@@ -268,10 +262,9 @@ def mirrored(
     Shapes: moved (n_points, 3); parity of that motion by axis.
     """
     points, cells = mesh.points, mesh.cells
-    kind = KINDS[(3, cells.shape[1])]
     planes = [(0, 0.0), (1, 0.0), *([(2, height_mm / 2)] if mesh.half_height else [])]
     for axis, level in planes:
-        points, cells, beyond = mirror(points, cells, kind, axis, level)
+        points, cells, beyond = mirror(points, cells, mesh.kind, axis, level)
         shift = parity[axis] * moved[beyond]
         shift[:, axis] *= -1
         moved = np.vstack([moved, shift])
@@ -310,8 +303,10 @@ class ContactFigures(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Equilibria:
+class Equilibria(Keyed):
     """Equilibria of the points of a curve: what holds them, what touches, whether they stand."""
+
+    KEYS = "reaction contact=contact_figures instability"
 
     #: Resultants on the moving plate or indenter, and on the base, one for each displacement.
     plate: tuple[Resultant, ...] = ()
@@ -337,34 +332,29 @@ class Equilibria:
             **of_bodies,
         }
 
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study solve --json``: N, N mm, mm, MPa and mm^2."""
-        figures = ContactFigures._fields
-        return {
-            "reaction": {
-                name: {
-                    "axial": [equilibrium.axial for equilibrium in body],
-                    "side": [equilibrium.side.tolist() for equilibrium in body],
-                    "moment": [equilibrium.moment.tolist() for equilibrium in body],
-                }
-                for name, body in (("plate", self.plate), ("base", self.base))
-            },
-            "contact": {
-                name: [getattr(equilibrium, name) for equilibrium in self.contact]
-                for name in figures
-            },
-            "instability": None if self.instability is None else self.instability.to_json(),
-        }
+    @property
+    def reaction(self) -> dict[str, object]:
+        """Axial and side forces and moments of both bodies, N and N mm."""
+        bodies = {"plate": self.plate, "base": self.base}
+        return {name: _columns(Resultant._fields, body) for name, body in bodies.items()}
+
+    @property
+    def contact_figures(self) -> dict[str, object]:
+        """Figures of the contact, mm, MPa and mm^2."""
+        return _columns(ContactFigures._fields, self.contact)
+
+
+def _columns(names: Sequence[str], rows: Sequence[object]) -> dict[str, object]:
+    """Values of all points by the names of their figures."""
+    return {name: [getattr(row, name) for row in rows] for name in names}
 
 
 def nodal_reactions(system: System, assembly: Assembly) -> tuple[Array, Array]:
     """Split nodal forces into those of the plate or indenter and of the base, (n_nodes, dim)."""
     space, mesh, held = system.space, system.mesh, system.constraints
-    dim, above, below = space.dim, np.zeros(space.n_displacement), np.zeros(space.n_displacement)
-    top = np.zeros(len(space.nodes), dtype=bool)
-    top[at_level(space, mesh, mesh.height_mm)] = True
+    dim, (above, below) = space.dim, np.zeros((2, space.n_displacement))
     dofs = np.setdiff1d(held.dofs[held.dofs < space.n_displacement], held.pins)
-    upper = top[dofs // dim]
+    upper = np.isin(dofs // dim, at_level(space, mesh, mesh.height_mm))
     above[dofs[upper]] = assembly.residual[dofs[upper]]
     below[dofs[~upper]] = assembly.residual[dofs[~upper]]
     for points, touch in zip(system.contact, assembly.contact, strict=True):
@@ -397,12 +387,10 @@ def resultants(
     return bodies[0], bodies[0 if mesh.half_height else 1]
 
 
-#: corners of a facet between which further nodes lie, and their part of such a node's force
-_MIDDLES: dict[int, list[tuple[list[int], float]]] = {
-    2: [([0, 1], 0.5)],
-    3: [([0, 1], 0.5), ([1, 2], 0.5), ([2, 0], 0.5)],
-    4: [([0, 1], 0.5), ([1, 2], 0.5), ([2, 3], 0.5), ([3, 0], 0.5), ([0, 1, 2, 3], 0.25)],
-}
+#: corners of a facet between which further nodes lie
+_BETWEEN: dict[int, list[tuple[int, ...]]] = {
+    2: [(0, 1)], 3: MIDDLES["triangle6"], 4: MIDDLES["quad9"],
+}  # fmt: skip
 
 #: shape functions in the middle of a facet, by the number of its nodes
 _MIDDLE = {
@@ -459,7 +447,7 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
         shares = _ring_shares(places[corners][:, :, 0])
     area = np.bincount(corners.ravel(), (areas[:, None] * shares).ravel(), n)
     hats, between, taken = force.copy(), list[tuple[Ints, Ints]](), np.zeros(n, dtype=bool)
-    for ends, part in _MIDDLES[k] if facets.shape[1] > k else []:
+    for ends in map(list, _BETWEEN[k] if facets.shape[1] > k else []):
         lies = middle_nodes(space, facets[:, k:], facets[:, ends])
         nodes, first = np.unique(lies, return_index=True)
         # each once: another facet may have the same edge between other corners of its own
@@ -468,7 +456,7 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
         taken[nodes] = True
         between.append((nodes, facets[first][:, ends]))
         for corner in ends:
-            np.add.at(hats, facets[first, corner], part * force[nodes])
+            np.add.at(hats, facets[first, corner], force[nodes] / len(ends))
     pressure = np.zeros(n)
     np.divide(np.linalg.norm(hats, axis=1), area, out=pressure, where=area > 0)
     for nodes, around in between:
@@ -484,7 +472,7 @@ def contact_gap(system: System, state: State) -> Array:
             continue
         nodes = np.unique(points.nodes)
         reference, moved = system.space.nodes[nodes], system.displacements(state.x)[nodes]
-        gap[nodes] = np.fmin(gap[nodes], points.distance(reference, moved, state.displacement_mm))
+        gap[nodes] = np.fmin(gap[nodes], points.seen(reference, moved, state.displacement_mm)[0])
     return gap
 
 
@@ -493,7 +481,7 @@ def contact_figures(
 ) -> ContactFigures:
     """How well the moving surface fits, and what it presses with. Shapes: force (n_nodes, dim)."""
     space, dim, u = system.space, system.space.dim, system.displacements(state.x)
-    depth, gap, area, touches = 0.0, 0.0, 0.0, False
+    depth, gap, area = 0.0, 0.0, 0.0
     ratio, moved_by = _stretched_areas(system, u), 0.0 if system.material.small_strain else u
     for points, touch in zip(system.contact, assembly.contact, strict=True):
         if isinstance(points, TiedPoints) or points.surface.speed == 0:
@@ -501,19 +489,17 @@ def contact_figures(
         closed = touch.active if state.glue is None else touch.active | state.glue.held
         if not closed.any():
             continue
-        touches = True
         stretched = np.einsum("ck,ck->c", points.shape, ratio[points.nodes])
         area += float((points.weights * stretched)[closed].sum())
         members = np.isin(space.facets, points.nodes).all(axis=1)
         facets = space.facets[members & np.isin(space.facets, points.nodes[closed]).any(axis=1)]
-        amid = np.isin(facets, np.setdiff1d(points.nodes[closed], points.nodes[~closed])).all(
-            axis=1
-        )
+        inner_nodes = np.setdiff1d(points.nodes[closed], points.nodes[~closed])
+        amid = np.isin(facets, inner_nodes).all(axis=1)
         k = facets.shape[1]
         inner = [] if dim == 2 and k == 3 else [_MIDDLE[k]]  # such an edge has a node there
         for local in (*np.eye(k), *inner):
             reference, moved = (np.einsum("a,faj->fj", local, v[facets]) for v in (space.nodes, u))
-            off = points.distance(reference, moved, state.displacement_mm)
+            off, _, _ = points.seen(reference, moved, state.displacement_mm)
             depth = max(depth, float(-off.min(initial=0.0)))
             gap = max(gap, float(off[amid].max(initial=0.0)))
     held = at_level(space, system.mesh, system.mesh.height_mm)
@@ -523,9 +509,8 @@ def contact_figures(
         k = _corners(space.facets.shape[1], dim)
         corners = (space.nodes + moved_by)[space.facets[face, :k]]
         area += float(facet_areas(corners).sum())
-        touches = True
-    sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
-    if not touches:
+    if not area:
         return ContactFigures()
+    sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
     pressure = contact_pressure(system, state, force)
     return ContactFigures(depth, gap, float(pressure.max(initial=0.0)), sector * area)

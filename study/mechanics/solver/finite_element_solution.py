@@ -27,7 +27,7 @@ from study.mechanics.material.stability import stability, stable_in
 from study.mechanics.mesh.graded import turned
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.solid import surface_faults
-from study.mechanics.mesh.structured import KINDS, MIDDLES, QUADRATIC, Mesh, mirror
+from study.mechanics.mesh.structured import MIDDLES, QUADRATIC, Mesh, mirror
 from study.mechanics.setup.geometry import Enclosed, Surface
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.solver.equilibrium import (
@@ -41,7 +41,7 @@ from study.mechanics.solver.newton import NewtonSettings, Options, solve_step
 from study.mechanics.solver.sensitivity import Loads, linear_rates
 from study.mechanics.solver.solution import Solution, without_answer
 from study.mechanics.solver.solution_cost import size_faults
-from study.mechanics.solver.system import Assembly, State, System
+from study.mechanics.solver.system import State, System
 from study.mechanics.surface.closed_surface import PLAUSIBLE_MM, body, height_of
 
 # -------------------------------------------------------------------------------------------------
@@ -106,9 +106,6 @@ def instability(problem: Problem) -> str:
     return stability(material, stretches).sentence
 
 
-__all__ = ["Options", "follow", "solve"]
-
-
 def solve(
     problem: Problem,
     *,
@@ -164,24 +161,20 @@ def follow(
     model = replace(problem.model, space="3d")
     if model.element_order == "linear" and not isinstance(problem.specimen, Enclosed):
         most = 2 * problem.specimen.half_width_mm / BENT_ELEMENTS
-        model = replace(
-            model, mesh_size_mm=min(mesh_size(replace(problem, model=model).setup), most)
-        )
+        size_mm = mesh_size(replace(problem, model=model).setup)
+        model = replace(model, mesh_size_mm=min(size_mm, most))
     solid = replace(problem, model=model)
-    part = solve(solid, gradients=gradients, options=options, progress=progress)
+    solve_solid = partial(solve, solid, gradients=gradients, options=options, progress=progress)
+    part = solve_solid()
     bent, warm, specimen = part.instability, part.warm, problem.specimen
     if bent is None or warm is None or isinstance(specimen, Enclosed) or solid.setup.is_whole:
         return part
     mesh = warm.system.mesh
-    mode = bent.mode[: len(mesh.points)]
-    whole, shape = mirrored(mesh, mode, bent.parity, warm.system.mesh.height_mm)
+    whole, shape = mirrored(mesh, bent.mode[: len(mesh.points)], bent.parity, mesh.height_mm)
     branch = part
     for share in IMPERFECTIONS:
         points = whole.points + share * 2 * specimen.half_width_mm * shape
-        branch = solve(
-            solid, gradients=gradients, options=options, progress=progress,
-            mesh=replace(whole, points=points),
-        )  # fmt: skip
+        branch = solve_solid(mesh=replace(whole, points=points))
         if branch.converged:
             break
     message = (
@@ -247,7 +240,6 @@ class PrescribedMotion:
             raise NoEquilibrium(solution.message)
         self.system = solution.warm.system
         self._modes = _modes(self.system)
-        self._settings = NewtonSettings()
         state, besides = solution.warm.steps[-1].state, problem.test.motion
         others = np.zeros(BESIDES) if besides is None else besides.components()
         motion = np.concatenate([[problem.test.depth_mm], others])
@@ -270,7 +262,7 @@ class PrescribedMotion:
         guess[system.constraints.dofs] = system.prescribed(float(motion[0]))
         start = replace(near.state, displacement_mm=float(motion[0]), x=guess)
         if (system.volume_ratios(guess) > 0).all():
-            step = solve_step(system, start, self._settings)
+            step = solve_step(system, start, NewtonSettings())
             if step.converged:
                 return self._described(system, motion, step.state)
         if not halvings:
@@ -285,18 +277,8 @@ class PrescribedMotion:
         return replace(self.system, constraints=constraints, latest=replace(self.system.latest))
 
     def _described(self, system: System, motion: Array, state: State) -> MovedPlate:
-        rates = self._rates(system, state, system.assemble(state))
-        shape = (*system.space.nodes.shape, COMPONENTS)
-        return MovedPlate(
-            motion=motion.copy(),
-            state=state,
-            displacement=system.displacements(state.x).copy(),
-            rates=rates[: system.space.n_displacement].reshape(shape),
-        )
-
-    def _rates(self, system: System, state: State, assembly: Assembly) -> Array:
-        """Differentiate all unknowns by the motion, shape (n, 7)."""
-        start = np.zeros((system.space.n, COMPONENTS))
+        """Equilibrium with the derivatives of all unknowns by the motion."""
+        assembly, start = system.assemble(state), np.zeros((system.space.n, COMPONENTS))
         start[system.constraints.dofs] = self._modes
         targets = []
         for points, touch in zip(system.contact, assembly.contact, strict=True):
@@ -307,7 +289,13 @@ class PrescribedMotion:
         rates = linear_rates(system, assembly, loads, _PRESCRIBED_MOTION_TOLERANCE)
         if rates.excess > 1:
             raise NoEquilibrium("the derivatives by the plate motion did not converge")
-        return rates.x
+        of_nodes = rates.x[: system.space.n_displacement]
+        return MovedPlate(
+            motion=motion.copy(),
+            state=state,
+            displacement=system.displacements(state.x).copy(),
+            rates=of_nodes.reshape(*system.space.nodes.shape, COMPONENTS),
+        )
 
 
 def _modes(system: System) -> Array:
@@ -385,9 +373,7 @@ class Fields:
             return values * tensor if columns == 9 else values
 
         moved = np.concatenate([self.displacement, (self.displacement * sign)[beyond]])
-        nodal = {
-            name: np.concatenate([v, image(name, v)[beyond]]) for name, v in self.nodal.items()
-        }
+        nodal = {n: np.concatenate([v, image(n, v)[beyond]]) for n, v in self.nodal.items()}
         shared = np.setdiff1d(np.arange(len(self.points)), beyond)
         force = self.nodal["reaction_N"][shared]
         nodal["reaction_N"][shared] += image("reaction_N", force)
@@ -410,7 +396,7 @@ def fields(solution: Solution, step: int = -1) -> Fields:
     # simplices have a positive volume in VTK; grids have it already
     simplex = mesh.cells.shape[1] == space.dim + 1
     upright = turned(mesh.points, mesh.cells.copy()) if simplex else mesh.cells
-    kind, cells = _cells(space, upright)
+    kind, cells = _cells(space, mesh.kind, upright)
     used = np.unique(cells)  # bubbles belong to no corner and no side
     F = deformation_gradient(space, system.displacements(state.x))
     # the volume that a linear body sees
@@ -559,18 +545,15 @@ def cauchy_stress(
     small = system.material.small_strain
     stress = nominal if small else np.einsum("ij...,kj...->ik...", nominal, F) / J
     eye = np.eye(3)[:, :, None, None]
-    mean = space.pressures(state.x) + system.internal.pointwise_bulk(system.material) * (J - 1)
+    mean = space.pressures(state.x) + system.internal.split(system.material).local * (J - 1)
     return np.asarray(stress + (mean - np.trace(stress) / 3) * eye)
 
 
-def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:
+def _cells(space: Discretization, linear: str, corners: Ints) -> tuple[str, Ints]:
     """Type and nodes of the cells, the further nodes found by where they lie."""
-    dim, n = space.dim, corners.shape[1]
-    local = int(space.element_nodes.shape[1])
-    linear, kind = KINDS[(dim, n)], QUADRATIC[KINDS[(dim, n)]]
-    if local < n + len(MIDDLES[kind]):  # bubbles are not drawn
+    kind, nodes = QUADRATIC[linear], space.element_nodes
+    if nodes.shape[1] < corners.shape[1] + len(MIDDLES[kind]):  # bubbles are not drawn
         return linear, corners
-    nodes = space.element_nodes
     rest = nodes[~(nodes[:, :, None] == corners[:, None, :]).any(axis=2)].reshape(len(nodes), -1)
     middles = [middle_nodes(space, rest, corners[:, list(middle)]) for middle in MIDDLES[kind]]
     return kind, np.column_stack([corners, *middles])

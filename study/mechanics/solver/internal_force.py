@@ -165,11 +165,11 @@ class Internal:
         """Return what the compiled loops are told of a material."""
         if self.last_energy is None or self.last_energy[0] is not material:
             uneven = self._unevenness(material, material.mu0)
-            energy = _element_energy(material.law(), self._split(material), uneven)
+            energy = _element_energy(material.law(), self.split(material), uneven)
             self.last_energy = material, energy
         return self.last_energy[1]
 
-    def _split(self, material: Material) -> BulkSplit:
+    def split(self, material: Material) -> BulkSplit:
         """Bulk modulus at every quadrature point, and compliance of the pressures."""
         K = material.bulk
         if not self._mixed:
@@ -180,10 +180,6 @@ class Internal:
     def _mixed(self) -> bool:
         """Whether there are pressure unknowns."""
         return bool(self.space.pressure_shape.shape[2] > 0)
-
-    def pointwise_bulk(self, material: Material) -> float:
-        """Bulk modulus that acts on J at every quadrature point, MPa."""
-        return self._split(material).local
 
     def gathered(self) -> Array:
         """Sum of the element residuals, shape (n,)."""
@@ -210,7 +206,7 @@ class Internal:
         """
         if material.small_strain or not self._mixed:
             return 0.0
-        explained = self._split(material).compliance * self.space.pressures(x)
+        explained = self.split(material).compliance * self.space.pressures(x)
         off = self.volume_ratios(material, x) - 1 - explained
         return float(np.sqrt(np.average(off**2, weights=self.space.weights)))
 
@@ -219,9 +215,8 @@ class Internal:
         without_pressure = x.copy()
         without_pressure[self.space.n_displacement :] = 0.0
         uneven = self._unevenness(material, material.mu0_gradient()[name])
-        self._elements(
-            without_pressure, _element_energy(material.law_rate(name), BulkSplit(0.0, 0.0), uneven)
-        )
+        energy = _element_energy(material.law_rate(name), BulkSplit(0.0, 0.0), uneven)
+        self._elements(without_pressure, energy)
         out = self.gathered()
         out[self.space.n_displacement :] = 0.0
         return out + self._volume_derivative(material, x, name)

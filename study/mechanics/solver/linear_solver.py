@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -33,40 +33,6 @@ class SingularMatrixError(ArithmeticError):
     """The matrix could not be factorized."""
 
 
-class LinearSolver(Protocol):
-    """What Newton needs of a direct solver."""
-
-    name: str
-    #: Whether solutions have double precision; otherwise about five digits.
-    exact: bool = True
-
-    def sharpen(self) -> None:
-        """Have double precision from the next factorization on."""
-        return
-
-    def forget(self) -> None:
-        """Go back to the precision it began with."""
-        return
-
-    def weigh(self, weights: Array | None) -> None:
-        """Factorize D A D from the next matrix A on, D = diag(weights), powers of two (n,)."""
-
-    def factorize(self, data: Array) -> None:
-        """Factorize the matrix with these entries of the pattern."""
-
-    def solve(self, right: Array) -> Array:
-        """Solve for one (n,) or several (n, k) right-hand sides."""
-
-    def worth(self) -> float:
-        """How many back-substitutions a factorization costs, by counts; 0 before the first."""
-
-    def negative_pivots(self) -> int | None:
-        """Negative eigenvalues of the matrix that factors make (Sylvester); None if not known."""
-
-    def unperturbed(self) -> bool:
-        """Whether every pivot was large enough, so that they make the matrix factorized."""
-
-
 def pardiso_available() -> bool:
     """Whether the fast solver is installed."""
     return importlib.util.find_spec("pypardiso") is not None
@@ -78,7 +44,6 @@ def make_solver(
     """Return a solver for a pattern."""
     if name == "superlu" or (name == "auto" and not pardiso_available()):
         return SuperLU(pattern)
-
     return Pardiso(pattern, plane=plane, corrected=corrected)
 
 
@@ -86,22 +51,27 @@ def make_solver(
 _PER_LENGTH = 0.1
 
 
-class SuperLU(LinearSolver):
+class SuperLU:
     """SciPy's SuperLU in symmetric mode: always there, many times slower in 3D."""
 
     name = "superlu"
+    #: Whether solutions have double precision; otherwise about five digits.
+    exact = True
 
     def __init__(self, pattern: Pattern) -> None:
         n = pattern.free.size
-        upper = sp.csr_matrix(
-            (np.arange(1.0, pattern.indices.size + 1), pattern.indices, pattern.indptr),
-            shape=(n, n),
-        )
+        numbers = np.arange(1.0, pattern.indices.size + 1)
+        upper = sp.csr_matrix((numbers, pattern.indices, pattern.indptr), shape=(n, n))
         full = (upper + sp.triu(upper, 1).T).tocsc()
         full.sort_indices()
         self._source = full.data.astype(np.int64) - 1
         self._matrix = full
         self._factors: Factors | None = None
+
+    def sharpen(self) -> None:
+        """No need: it has double precision from the start."""
+
+    forget = sharpen
 
     def weigh(self, weights: Array | None) -> None:
         """No need: pivots are compared within their column, and none is perturbed."""
@@ -122,19 +92,25 @@ class SuperLU(LinearSolver):
             raise SingularMatrixError(str(error)) from error
 
     def solve(self, right: Array) -> Array:
-        """Back-substitution for one or several right-hand sides."""
+        """Back-substitution for one (n,) or several (n, k) right-hand sides."""
         if self._factors is None:
             raise RuntimeError("solve needs a matrix: factorize first")
         return np.asarray(self._factors.solve(np.asarray(right, dtype=np.float64)))
 
     def worth(self) -> float:
-        """By counts: columns of the factors are as long as their entries over their number."""
+        """How many back-substitutions a factorization costs, by counts; 0 before the first.
+
+        Columns of the factors are as long as their entries over their number.
+        """
         if self._factors is None:
             return 0.0
         return _PER_LENGTH * float(self._factors.nnz) / float(self._matrix.shape[0])
 
     def negative_pivots(self) -> int | None:
-        """Signs of the pivots, where all of them were taken from the diagonal."""
+        """Negative eigenvalues of the matrix that factors make (Sylvester); None if not known.
+
+        They are the signs of the pivots where all of them were taken from the diagonal.
+        """
         factors = self._factors
         if factors is None or not np.array_equal(factors.perm_r, factors.perm_c):
             return None
@@ -236,7 +212,7 @@ def _integers(values: NDArray[np.int32]) -> object:
     return values.ctypes.data_as(ctypes.POINTER(ctypes.c_int32))
 
 
-class Pardiso(LinearSolver):
+class Pardiso:
     """Symbolic analysis once, numerical factorization for each matrix.
 
     A solution that does not solve its system (pivots had to be perturbed, as with the zero
@@ -279,7 +255,8 @@ class Pardiso(LinearSolver):
         self._analyzed = False
 
     def weigh(self, weights: Array | None) -> None:
-        """Pivots are compared with the largest entry of the matrix, whatever its units."""
+        """Factorize D A D from the next matrix A on, D = diag(weights), powers of two (n,)."""
+        # pivots are compared with the largest entry of the matrix, whatever its units
         self._weights = weights
 
     def sharpen(self) -> None:
@@ -411,6 +388,8 @@ class Pardiso(LinearSolver):
         except Exception:  # noqa: BLE001 - interpreter shutdown: MKL may be gone already
             return
 
+
+LinearSolver = SuperLU | Pardiso
 
 # -------------------------------------------------------------------------------------------------
 # Solves with a tangent by the factorization of an earlier one, for as long as that pays.

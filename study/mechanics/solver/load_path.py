@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,12 +21,16 @@ from study.mechanics.setup.test_kind import (
 from study.mechanics.solver.equilibrium import (
     Equilibria,
     Instability,
+    contact_figures,
     has_inertia_of_factors,
     is_unstable,
     least_stiffness,
+    nodal_reactions,
+    resultants,
     surplus,
     swaying,
 )
+from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.linear_solver import SingularMatrixError
 from study.mechanics.solver.newton import (
     FALLS,
@@ -170,6 +174,9 @@ class LoadPath:
         warm: Solution | None,
     ) -> None:
         self.system, self.problem, self.options = system, problem, options
+        self._whole_mm = problem.test.depth_mm
+        #: share of the stored energy above which something has jumped
+        self._share = STICKING_JUMP_SHARE if system.sticks else JUMP_SHARE
         self.gradients_of = problem.material.names if gradients else ()
         self.warm = warm.warm if warm is not None else None
         steps = () if self.warm is None else self.warm.steps
@@ -177,12 +184,15 @@ class LoadPath:
         self._follows = self.warm is not None and options.same_points
         self.progress = progress or (lambda _: None)
         self.rest: State | None = system.start()  # None where the weight has no equilibrium
-        if system.weight is not None:
-            self.rest = sagged_state(system, options.newton)
-            system = self.system = system if self.rest is None else system.sagged(self.rest)
+        if (weight := system.weight) is not None:
+            self.rest = sagged_state(system, weight, options.newton)
+            if self.rest is not None:  # the work of the test is counted from there
+                lying = replace(weight, energy_at_rest=system.stored_energy(self.rest).total)
+                system = self.system = replace(system, weight=lying)
         self.state, self.previous = self.rest or system.start(), None  # type: State, State | None
         self.J = system.volume_ratios(self.state.x)
-        self.rule = problem.setup.step_rule(options.steps, system.mesh.height_mm)
+        kind, height_mm = problem.setup.kind, system.mesh.height_mm
+        self.rule = kind.steps(problem.test, height_mm, options.steps)
         self.step_mm = self.rule.first_mm
         self.steps: list[Step] = []
         #: displacements at which the surface snapped to another equilibrium, mm
@@ -203,7 +213,7 @@ class LoadPath:
         for target in self._targets():
             if not self._advance(target, _LOAD_PATH_HALVINGS):
                 break
-            self.progress(target / self.problem.test.depth_mm)
+            self.progress(target / self._whole_mm)
         self._end_at_a_collapse()
         error, fills = self.options.curve_error, not (self._follows or self.system.sticks)
         if error and fills and self._complete:
@@ -218,13 +228,11 @@ class LoadPath:
         """
         test = self.problem.test
         steps = [test.depth_mm * k / test.steps for k in range(1, test.steps + 1)]
-        followed = (
-            self._warm_steps if self._follows and self.options.curve_error is not None else ()
-        )
-        added = [d for d in followed if d < steps[-1]]
+        is_refined = self.options.curve_error is not None
+        followed = self._warm_steps if self._follows and is_refined else ()
         near = 1e-9 * self.system.mesh.height_mm
-        others = [d for d in added if min(abs(d - depth) for depth in steps) > near]
-        return sorted([*steps, *others])
+        apart = (d for d in followed if min(abs(d - depth) for depth in steps) > near)
+        return sorted([*steps, *(d for d in apart if d < steps[-1])])
 
     def _advance(self, target: float, halvings: int) -> bool:
         """Reach a displacement and write it down, in halves where energy does not add up."""
@@ -293,8 +301,11 @@ class LoadPath:
         )
         del self.steps[first:]
         self.snaps = [mm for mm in self.snaps if mm < reached[first - 1]]
-        self.reason, self.state = self.collapse, self.steps[-1].state
-        self.J = self.system.volume_ratios(self.state.x)
+        self._end_at(self.steps[-1].state, self.collapse)
+
+    def _end_at(self, state: State, reason: str) -> None:
+        """Take a state for the last one, and say why."""
+        self.state, self.reason, self.J = state, reason, self.system.volume_ratios(state.x)
         self.min_j = float(self.J.min())
 
     def _look_back(self) -> None:
@@ -313,7 +324,11 @@ class LoadPath:
             self._refuse(last, *mode)
 
     def _refuse(
-        self, unstable: State, system: System, sway: str = "", parity: tuple[int, ...] = (1, 1, 1)
+        self,
+        unstable: State,
+        system: System,
+        sway: str | None = None,
+        parity: tuple[int, ...] = (1, 1, 1),
     ) -> None:
         """Go back to the last stable step, by bisection, and say where stability was lost."""
         place_mm = unstable.displacement_mm
@@ -338,9 +353,7 @@ class LoadPath:
         self.instability = Instability(a + share * (b - a), a, b, sway, mode, parity)
         del self.steps[int(np.searchsorted(self._reached, b * (1 - 1e-12))) :]
         self.snaps = [snap_mm for snap_mm in self.snaps if snap_mm < b]
-        self.reason, self.state = self.instability.sentence, before
-        self.J = self.system.volume_ratios(before.x)
-        self.min_j = float(self.J.min())
+        self._end_at(before, self.instability.sentence)
 
     def _place(self) -> _Place:
         return self.state, self.previous, self.J, self.step_mm, self.min_j
@@ -389,9 +402,8 @@ class LoadPath:
     def _halfway(self, left: State, right: State, displacement: float) -> NewtonResult | None:
         """Equilibrium near the mean of two states; None where there is none nearby."""
         J = self.system.volume_ratios(left.x)
-        multipliers = [
-            0.5 * (m + n) for m, n in zip(left.multipliers, right.multipliers, strict=True)
-        ]
+        pairs = zip(left.multipliers, right.multipliers, strict=True)
+        multipliers = [0.5 * (m + n) for m, n in pairs]
         sides = (self.system.held_against_wish(state) for state in (left, right))
         held = tuple(a & b for a, b in zip(*sides, strict=True))
         mean = State(displacement, 0.5 * (left.x + right.x), tuple(multipliers))
@@ -541,9 +553,8 @@ class LoadPath:
         if self.previous is None:
             return None
         last, before = self.state, self.previous
-        ratio = (displacement - last.displacement_mm) / (
-            last.displacement_mm - before.displacement_mm
-        )
+        here_mm = last.displacement_mm
+        ratio = (displacement - here_mm) / (here_mm - before.displacement_mm)
         if ratio > _FARTHEST:
             return None
         x = last.x + ratio * (last.x - before.x)
@@ -556,14 +567,11 @@ class LoadPath:
             return None
         step = self._warm_steps[near[0]]
         x, multipliers = step.state.x.copy(), list(step.state.multipliers)
+        now, then = self.problem.material.constants, self.warm.system.material.constants
         for name, rate in step.gradients.constants.items():
-            change = (
-                self.problem.material.constants[name] - self.warm.system.material.constants[name]
-            )
+            change, pairs = now[name] - then[name], zip(multipliers, rate.multipliers, strict=True)
             x += change * rate.x
-            multipliers = [
-                m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)
-            ]
+            multipliers = [m + change * r for m, r in pairs]
         held = self.system.held_against_wish(step.state)
         J = self.system.volume_ratios(step.state.x)
         return self._moved_to(State(target, x, tuple(multipliers)), held, J)
@@ -583,8 +591,14 @@ class LoadPath:
 
     def _step(self, result: NewtonResult, state: State, spent: int) -> Step:
         """Step of a converged result, whose state may be held by a bonded indenter meanwhile."""
-        sense, row = self.problem.setup.kind.sense, self._gradients(result)
-        return Step.of(self.system, state, result.equilibrium(), row, spent, sense)
+        system, assembly, row = self.system, result.equilibrium(), self._gradients(result)
+        stored = (system.force_scale * part for part in system.stored_energy(state))
+        forces = nodal_reactions(system, assembly)
+        figures = contact_figures(system, state, assembly, forces[0])
+        held = resultants(system, state, forces, self.problem.setup.kind.sense)
+        pins = np.abs(assembly.residual[system.constraints.pins])
+        pinned = float(pins.max()) / abs(row.force_N) if pins.size and row.force_N else 0.0
+        return Step(state, row, StoredEnergy(*stored), (*held, figures), pinned, spent)
 
     def _gradients(self, result: NewtonResult) -> StepGradients:
         """Force and derivatives of a converged state, computed once."""
@@ -617,15 +631,6 @@ class LoadPath:
     def _complete(self) -> bool:
         """Whether every requested step is there."""
         return int(np.count_nonzero(self._asked)) == self.problem.test.steps
-
-    @property
-    def _whole_mm(self) -> float:
-        return self.problem.test.depth_mm
-
-    @property
-    def _share(self) -> float:
-        """Share of the stored energy above which something has jumped."""
-        return STICKING_JUMP_SHARE if self.system.sticks else JUMP_SHARE
 
     def _add(self, step: Step) -> None:
         """Write down a step that converged, in the order of displacements."""
@@ -737,9 +742,8 @@ class LoadPath:
                 f"{100 * pinned:.2g} % of the force: it is not balanced as it stands"
             )
         if not self._complete:
-            reached, depth = self.state.displacement_mm, self.problem.test.depth_mm
-            why = self.collapse or lost or self._why()
-            sentences = [f"stopped at {reached:.4g} mm of {depth:.4g} mm: {why}"]
+            reached, why = self.state.displacement_mm, self.collapse or lost or self._why()
+            sentences = [f"stopped at {reached:.4g} mm of {self._whole_mm:.4g} mm: {why}"]
             if lost and not self.collapse:
                 sentences.append(_OUT_OF_REACH)
         elif apart := self._apart():
@@ -753,27 +757,24 @@ class LoadPath:
                 f"{100 * inside / self._whole_mm:.2g} % of the displacement: use a smaller "
                 "mesh_size, or press less deep"
             )
-        sentences += self._too_coarse()
-        sentences += self._cannot_sway()
-        sentences += self._not_converged(curve)
+        sentences += [*self._too_coarse(), *self._cannot_sway(), *self._not_converged(curve)]
         if isinstance(self.problem.specimen, Enclosed):
             sentences += body(self.problem.specimen).notes
         return "; ".join(sentences)
 
-    def _too_coarse(self) -> list[str]:
+    def _too_coarse(self) -> Iterator[str]:
         """Say that the elements are too large for the deformation, or for what is touched."""
-        model, notes = self.problem.model, []
+        model = self.problem.model
         uneven = self.system.internal.uneven_volume(self.system.material, self.state.x)
         if uneven > _UNEVEN:
             other = "" if model.element_order == "quadratic" else ", or quadratic elements"
-            notes.append(
+            yield (
                 f"volumes within the elements are off by {100 * uneven:.2g} % (root mean square): "
                 "the mesh is too coarse for this deformation, and the force too high by a few "
                 f"percent or more; use a smaller mesh_size{other}"
             )
         if contact := unresolved_contact(self.problem.test, model.mesh_size_mm):
-            notes.append(contact)
-        return notes
+            yield contact
 
     def _apart(self) -> str:
         """Say where what moves has lost the specimen, or never met it; empty where it has not.
@@ -792,46 +793,44 @@ class LoadPath:
         lost = np.flatnonzero(off & (np.arange(off.size) > (met[0] if met.size else 0)))
         return f"contact is lost at {self._reached[lost[0]]:.4g} mm" if lost.size else ""
 
-    def _cannot_sway(self) -> list[str]:
+    def _cannot_sway(self) -> Iterator[str]:
         """Say that a column went past Euler's load in a model whose axis holds it straight."""
         setup, height_mm = self.problem.setup, self.system.mesh.height_mm
         critical = buckling_strain(setup.test, setup.specimen)
         small = self.system.material.small_strain
-        if (self.system.space.dim == 3 and not small) or critical is None:
-            return []
-        if not self._reached or self._reached[-1] < critical * height_mm:
-            return []
-        hidden = NEVER_BUCKLES if small else "a model with an axis of symmetry cannot show that"
-        return [
-            f"a column of this slenderness buckles at about {critical * height_mm:.3g} mm (Euler's "
-            f"load); {hidden}"
-        ]
+        if (self.system.space.dim == 3 and not small) or critical is None or not self._reached:
+            return
+        if self._reached[-1] >= critical * height_mm:
+            hidden = NEVER_BUCKLES if small else "a model with an axis of symmetry cannot show that"
+            yield (
+                f"a column of this slenderness buckles at about {critical * height_mm:.3g} mm "
+                f"(Euler's load); {hidden}"
+            )
 
-    def _not_converged(self, curve: Curve) -> list[str]:
+    def _not_converged(self, curve: Curve) -> Iterator[str]:
         """Say which iterations beside Newton's ended before their tolerance."""
-        notes, missed = [], [step for step in self.steps if step.gradients.excess > 1]
+        missed = [step for step in self.steps if step.gradients.excess > 1]
         rounded = max(map(self._rounded, self.steps[-1:]), default=0.0)
         if rounded > _ROUNDED:
             share = self.steps[-1].state.displacement_mm / self.system.mesh.height_mm
-            notes.append(
+            yield (
                 f"rounding of the nodal forces is {100 * rounded:.2g} % of the force: the "
                 f"displacement is {share:.2g} of the height; press deeper, or model a smaller "
                 "specimen"
             )
         if missed:
             worst = max(missed, key=lambda step: step.gradients.excess)
-            notes.append(
+            yield (
                 f"the derivatives of {len(missed)} steps did not converge: at "
                 f"{worst.state.displacement_mm:.4g} mm {worst.gradients.excess:.2g} times the "
                 "residual that is allowed is left"
             )
         error, most = curve.relative_interpolation_error(), self.options.curve_error
         if self._complete and most is not None and error > most:
-            notes.append(
+            yield (
                 f"between its points the curve may be off by {100 * error:.2g} % of the force, "
                 f"more than the {100 * most:.2g} % asked for: use more steps"
             )
-        return notes
 
 
 def _near(result: NewtonResult, J: Array) -> bool:

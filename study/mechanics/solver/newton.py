@@ -10,7 +10,7 @@ import numpy as np
 from study.ground.arrays import Array, Flags
 from study.mechanics.setup.test_kind import StepSettings
 from study.mechanics.solver.linear_solver import SingularMatrixError
-from study.mechanics.solver.system import Assembly, Drag, State, System
+from study.mechanics.solver.system import Assembly, Drag, State, System, Weight
 
 #: why a state has no stress where no element is inverted
 _OUT_OF_REACH = "a point is stretched beyond what the energy reaches, such as the end of its chains"
@@ -113,7 +113,7 @@ def solve_step(
         lift = system.prescribed(guess.displacement_mm) - system.prescribed(state.displacement_mm)
     residuals: list[float] = []
     J = system.volume_ratios(state.x)
-    switches, free = Switches(system, held), system.pattern.free
+    switches, free, dim = Switches(system, held), system.pattern.free, system.space.dim
     for iteration in itertools.count():
         state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
         assembly = system.assemble(state)
@@ -143,13 +143,11 @@ def solve_step(
         fraction, J = _filtered(system, state.x, J, increment)
         if fraction == 0 or (lift.size and fraction < 1):  # the plate would stay on its way
             return NewtonResult(state, False, iteration, "an element would be inverted", ())
-        updated = []
-        for points, old, touch in zip(
-            system.contact, state.multipliers, assembly.contact, strict=True
-        ):
-            new = touch.new_multiplier(points, increment[points.dofs(system.space.dim)])
-            updated.append(old + fraction * (new - old))
-        multipliers = tuple(updated)
+        each = zip(system.contact, state.multipliers, assembly.contact, strict=True)
+        multipliers = tuple(
+            old + fraction * (touch.new_multiplier(points, increment[points.dofs(dim)]) - old)
+            for points, old, touch in each
+        )
         state = replace(state, x=state.x + fraction * increment, multipliers=multipliers)
         lift = np.zeros(0)
     reason = f"no equilibrium after {iteration} iterations"
@@ -236,10 +234,8 @@ def _done(
     gap, moved_mm = settings.gap * system.mesh.height_mm, abs(state.displacement_mm)
     if moved_mm > 0:
         gap = min(gap, settings.gap_of_displacement * moved_mm)
-    return all(
-        touch.settled() and touch.largest_violation() < gap and touch.largest_pull() < settings.pull
-        for touch in assembly.contact
-    )
+    touching = assembly.contact
+    return all(t.settled(gap) and t.largest_pull() < settings.pull for t in touching)
 
 
 #: iterations in which all points may change sides at once
@@ -422,13 +418,14 @@ _SMALLEST = 1 / 64
 FALLS = "the specimen finds no equilibrium under its own weight: check test.gravity.density"
 
 
-def sagged_state(system: System, settings: NewtonSettings) -> State | None:
+def sagged_state(system: System, weight: Weight, settings: NewtonSettings) -> State | None:
     """Equilibrium under the weight alone, at no displacement of the test."""
     state, carried, share = system.start(), 0.0, 1.0
     while carried < 1.0:
         next_share = min(carried + share, 1.0)
         loose = settings if next_share == 1.0 else settings.passing()
-        step = solve_step(system.weighing(next_share), state, loose)
+        part = Weight(next_share * weight.forces)  # of the same equations, with their arrays
+        step = solve_step(replace(system, weight=part, latest=replace(system.latest)), state, loose)
         if step.converged:
             state, carried, share = step.state, next_share, 2 * share
             continue

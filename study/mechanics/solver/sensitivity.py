@@ -154,12 +154,9 @@ def _closed_points(
     for points, touch, target in zip(system.contact, assembly.contact, targets, strict=True):
         at = np.flatnonzero(touch.active)
         dofs, normals = points.dofs(system.space.dim)[at], touch.direction[at]
+        weights, eps = points.weights[at], points.eps[at, None]
         gaps, pressure = target[at], np.zeros((at.size, target.shape[1]))
-        blocks.append(
-            ClosedPoints(
-                at, dofs, normals, points.weights[at], points.eps[at, None], gaps, pressure
-            )
-        )
+        blocks.append(ClosedPoints(at, dofs, normals, weights, eps, gaps, pressure))
     return tuple(blocks)
 
 
@@ -221,9 +218,8 @@ def step_gradients(
     system: System, state: State, assembly: Assembly, *, parameters: tuple[str, ...]
 ) -> StepGradients:
     """Force, tangent stiffness and derivatives at a converged state just assembled."""
-    free = (
-        _free(system.material, parameters) if system.weight is None and not system.sticks else None
-    )
+    scales = system.weight is None and not system.sticks
+    free = _free(system.material, parameters) if scales else None
     solved = tuple(name for name in parameters if name != free)
     loads = _loads(system, state, assembly, solved)
     tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
@@ -270,10 +266,8 @@ def _by_euler(
     for name, modulus in moduli.items():
         force_N -= modulus * slopes[name]
         x -= modulus * by[name].x
-        pressures = [
-            pressure - modulus * rate
-            for pressure, rate in zip(pressures, by[name].multipliers, strict=True)
-        ]
+        pairs = zip(pressures, by[name].multipliers, strict=True)
+        pressures = [pressure - modulus * rate for pressure, rate in pairs]
     return force_N / size, Rate(x / size, tuple(pressure / size for pressure in pressures))
 
 
@@ -288,12 +282,11 @@ def _loads(system: System, state: State, assembly: Assembly, parameters: tuple[s
     # dR/dtheta reuses the element arrays for residuals only: the tangent stays valid
     for column, name in enumerate(parameters, start=1):
         right[:, column] = -system.constant_derivative(state, name)
-    # -dR/dd at fixed unknowns: contact normals turn while a curved surface moves past
-    for points, touch in zip(system.contact, assembly.contact, strict=True):
-        dofs = points.dofs(system.space.dim)
-        np.add.at(right[:, 0], dofs.ravel(), -points.rotation_forces(touch).ravel())
     targets = []  # the loading moves the surface; constants move where ties hold their points
     for points, touch in zip(system.contact, assembly.contact, strict=True):
+        # -dR/dd at fixed unknowns: contact normals turn while a curved surface moves past
+        dofs = points.dofs(system.space.dim)
+        np.add.at(right[:, 0], dofs.ravel(), -points.rotation_forces(touch).ravel())
         target = np.zeros((points.size, k))
         target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
         if straight is not None:

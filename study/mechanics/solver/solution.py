@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 
@@ -16,13 +16,10 @@ from study.mechanics.solver.equilibrium import (
     Equilibria,
     Instability,
     Resultant,
-    contact_figures,
-    nodal_reactions,
-    resultants,
 )
 from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.sensitivity import StepGradients
-from study.mechanics.solver.system import Assembly, State, System
+from study.mechanics.solver.system import State, System
 
 # -------------------------------------------------------------------------------------------------
 # Work of the test against the energy that the specimen stores: what Newton's method cannot see.
@@ -83,12 +80,8 @@ class EnergyBalance:
 
     def at_points(self, indices: Ints) -> EnergyBalance:
         """Return the balance at some of the displacements, given by their places."""
-        return EnergyBalance(
-            self.stored_Nmm[indices],
-            self.stabilization_Nmm[indices],
-            self.mismatch[indices],
-            self.jumps_mm,
-        )
+        rows = ("stored_Nmm", "stabilization_Nmm", "mismatch")
+        return replace(self, **{name: getattr(self, name)[indices] for name in rows})
 
     @property
     def largest_mismatch(self) -> float:
@@ -147,20 +140,6 @@ class Step:
     pinned: float
     #: Newton iterations, those of its sub-steps included.
     iterations: int
-
-    @classmethod
-    def of(
-        cls, system: System, state: State, assembly: Assembly, row: StepGradients, spent: int,
-        sense: float,
-    ) -> Step:  # fmt: skip
-        """Energy, reactions and contact of a converged state."""
-        stored = (system.force_scale * part for part in system.stored_energy(state))
-        forces = nodal_reactions(system, assembly)
-        figures = contact_figures(system, state, assembly, forces[0])
-        held = (*resultants(system, state, forces, sense), figures)
-        pins = np.abs(assembly.residual[system.constraints.pins])
-        pinned = float(pins.max()) / abs(row.force_N) if pins.size and row.force_N else 0.0
-        return cls(state, row, StoredEnergy(*stored), held, pinned, spent)
 
 
 @dataclass(frozen=True)

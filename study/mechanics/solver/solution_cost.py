@@ -11,8 +11,6 @@ import functools
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 
@@ -20,7 +18,15 @@ from study.ground.arrays import Array
 from study.ground.errors import Fault
 from study.mechanics.contact.contact import constraints
 from study.mechanics.element.function_space import Nodes, basis_of, pressure_of
-from study.mechanics.mesh.graded import BULGE, CORE, UNDER_CONE, around, has_room, inward, sizes_of
+from study.mechanics.mesh.graded import (
+    BULGE,
+    CORE,
+    around,
+    grid_sizes,
+    has_room,
+    inward,
+    sizes_of,
+)
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.size_field import SizeField
 from study.mechanics.mesh.solid import expected_unknowns as inside
@@ -107,17 +113,12 @@ def _under_indenter(setup: Setup, indenter: Indenter) -> float:
 
 def _grid(setup: Setup, indenter: Indenter, field: SizeField, radius: float) -> float:
     """Quadrilaterals or hexahedra between lines."""
-    specimen = setup.specimen
-    wide, tall = UNDER_CONE[setup.model.element_order] if indenter.is_pointed else (1, 1)
-    top = np.array([field.top_mm])
+    specimen, (top, axis) = setup.specimen, grid_sizes(setup, field)
 
     def along_top(length: float) -> float:
-        return _steps(length, field.ring_mm, field, lambda rho: wide * field.at(rho, top))
+        return _steps(length, field.ring_mm, field, top)
 
-    def along_axis(depth: Array) -> Array:
-        return tall * field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
-
-    high = _steps(height_of(specimen), 0.0, field, along_axis)
+    high = _steps(height_of(specimen), 0.0, field, axis)
     solid = setup.model.space == "3d"
     if solid and indenter.has_face and has_room(specimen, field.ring_mm):
         return high * _rings(specimen, field)
@@ -361,16 +362,15 @@ def _iteration(setup: Setup, dofs: float) -> float:
 def unknowns(setup: Setup, mesh: Mesh) -> int:
     """Free displacements and pressures of a problem on a mesh, without its element arrays."""
     basis = basis_of(mesh, setup.model, 1)
-    space = cast(Nodes, SimpleNamespace(nodes=basis.doflocs.T, dim=mesh.points.shape[1]))
-    held = constraints(setup, space, mesh).dofs.size
+    held = constraints(setup, Nodes(basis.doflocs.T), mesh).dofs.size
     pressures = int(pressure_of(basis, setup.model)[1].max(initial=-1)) + 1
-    return int(space.dim * basis.N + pressures - held)
+    return int(mesh.points.shape[1] * basis.N + pressures - held)
 
 
 def _load_steps(setup: Setup, height_mm: float) -> float:
     """Newton iterations of a run: requested steps, each cut to what the step rule allows."""
     test = setup.test
-    rule = setup.step_rule(StepSettings(), height_mm)
+    rule = setup.kind.steps(test, height_mm, StepSettings())
     targets = test.depth_mm * np.arange(1, test.steps + 1) / test.steps
     length = test.depth_mm / test.steps
     pieces = sum(np.ceil(length / rule.largest_mm(depth) - 1e-9) for depth in targets)

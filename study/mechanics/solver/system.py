@@ -18,7 +18,6 @@ from study.mechanics.contact.contact import (
     Meeting,
     TiedPoints,
     constraints,
-    hold,
 )
 from study.mechanics.element.function_space import (
     Discretization,
@@ -172,19 +171,6 @@ class System:
         system.seconds["setup"] = time.perf_counter() - start
         return system
 
-    def weighing(self, share: float) -> System:
-        """Return the same equations with a share of the weight; solver and arrays are shared."""
-        weight = None if self.weight is None else Weight(share * self.weight.forces)
-        return replace(self, weight=weight, latest=replace(self.latest))
-
-    def sagged(self, state: State) -> System:
-        """Return the same equations, the work of the test counted from a state."""
-        if self.weight is None:
-            return self
-        start = self.internal.stored(self.material, state.x)
-        rest = start.total - float(self.weight.forces @ state.x)
-        return replace(self, weight=replace(self.weight, energy_at_rest=rest))
-
     @property
     def contact(self) -> tuple[ContactPoints, ...]:
         """Every set of points that may meet a rigid surface."""
@@ -275,13 +261,8 @@ class System:
 
     def touching(self, state: State, sides: tuple[Flags, ...] = ()) -> list[ContactState]:
         """Contact at a state, with imposed active sets or as every point itself decides it."""
-        each = zip(
-            self.contact,
-            self._meetings(state),
-            state.multipliers,
-            sides or (None,) * len(self.contact),
-            strict=True,
-        )
+        imposed = sides or (None,) * len(self.contact)
+        each = zip(self.contact, self._meetings(state), state.multipliers, imposed, strict=True)
         return [p.evaluate(met, m, closed, state.glue) for p, met, m, closed in each]
 
     def held_against_wish(self, state: State) -> tuple[Flags, ...]:
@@ -304,18 +285,20 @@ class System:
 
         ``rates`` are the derivatives of the unknowns by every constant.
         """
-        if state.glue is None:
+        if (glue := state.glue) is None:
             return state
-        glue, multipliers = hold(
-            state.glue,
-            self.contact,
-            assembly.contact,
-            self.space.nodes,
-            self.displacements(state.x),
-            state.displacement_mm,
-            {name: self.displacements(rate) for name, rate in rates.items()},
-        )
-        return replace(state, glue=glue, multipliers=multipliers)
+        points, (touch, *ties) = self.contact[0], assembly.contact
+        new = touch.active
+        position = points.interpolated(self.space.nodes + self.displacements(state.x))
+        # as seen from the indenter, which moves against the axis
+        position[:, -1] += state.displacement_mm
+        moves = {n: points.interpolated(self.displacements(rate)) for n, rate in rates.items()}
+        moved = {n: np.where(new[:, None], rate, glue.rate(n)) for n, rate in moves.items()}
+        pushes = zip(touch.pressure * touch.normal().T, ties, strict=True)
+        pushed = [np.where(new, push, tie.pressure) for push, tie in pushes]
+        held = Glue(glue.held | new, np.where(new[:, None], position, glue.anchor), moved)
+        free = np.where(new, 0.0, touch.pressure)
+        return replace(state, glue=held, multipliers=(free, *pushed))
 
     def factorize(self, *, exact: bool = False) -> None:
         """Factorize the last assembled tangent; ``exact`` asks for double precision."""

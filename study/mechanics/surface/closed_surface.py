@@ -217,11 +217,8 @@ def _pinched(triangles: Ints, edges: Edges) -> Ints:
     links = []
     for end in range(2):
         point = edges.shared[:, end]
-        corner = [
-            3 * edges.pairs[:, s] + (triangles[edges.pairs[:, s]] == point[:, None]).argmax(axis=1)
-            for s in range(2)
-        ]
-        links.append(np.column_stack(corner))
+        at = [(triangles[side] == point[:, None]).argmax(axis=1) for side in edges.pairs.T]
+        links.append(3 * edges.pairs + np.column_stack(at))
     _, labels = _components(np.vstack(links), triangles.size)
     fans = np.unique(triangles.ravel() * triangles.size + labels)
     corner_of, count = np.unique(fans // triangles.size, return_counts=True)
@@ -473,8 +470,6 @@ def body(surface: Enclosed) -> Body:
     """Read or make, check and stand up the surface of a specimen."""
     if isinstance(surface, Brain):
         return _made(surface)
-    if not isinstance(surface, Surface):
-        raise TypeError(f"no surface is known of {type(surface).__name__}")
     path = Path(surface.file)
     try:
         state = path.stat()

@@ -35,6 +35,7 @@ from study.reporting.content.text import (
 from study.reporting.figures import axes as style
 from study.reporting.figures.axes import Plot
 from study.reporting.output.write import answer_blocks, write_answer
+from study.statistics.analysis.analysis_result import AnalysisResult
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,10 +73,9 @@ def _registration(registration: Registration, added: float) -> Iterator[str]:
     yield (
         f"Registered by closest points: moved by {quantity(shift, 'mm')} and turned by "
         f"{significant(registration.motion.angle_deg)} deg; residual "
-        f"{quantity(registration.rms_mm, 'mm')} RMS, "
-        f"{registration.rejected:,} of {registration.used:,} points without weight. The "
-        "registration is known "
-        f"to {quantity(added, 'mm', 2)} (one standard uncertainty, RMS over the points)."
+        f"{quantity(registration.rms_mm, 'mm')} RMS, {registration.rejected:,} of "
+        f"{registration.used:,} points without weight. The registration is known to "
+        f"{quantity(added, 'mm', 2)} (one standard uncertainty, RMS over the points)."
     )
     if registration.sliding:
         listed = "; ".join(str(motion) for motion in registration.sliding)
@@ -153,7 +153,7 @@ def _tracker_distance(distance: DistanceResult, alpha: float) -> Iterator[str]:
             clear = "more than chance explains" if low > 0 or high < 0 else "within chance"
             ends = f"{level(alpha)} interval {interval(low, high, 'mm')}"
             yield f"{text}, {ends}: {clear}."
-    if distance.comparison is not None and distance.comparison.effects:
+    if isinstance(distance.comparison, AnalysisResult) and distance.comparison.effects:
         effect = distance.comparison.effects[0]
         text = f"Stages differ by up to {quantity(effect.range, 'mm')} ({p_phrase(effect.p)})"
         yield f"{text}: {effect.verdict}; {distance.comparison_note}."
