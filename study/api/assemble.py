@@ -15,8 +15,8 @@ from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.ground.diagnostics import dump_toml, flatten, parse_toml
 from study.harness.design.overview import calibration_factors, equivalent_groups
-from study.harness.runner.case_series import stored_convergence
 from study.harness.runner.record_analysis import fates, unit_of
+from study.harness.runner.study_refinement import stored_convergence
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.measurement.measured_test import IMPLAUSIBLE
 from study.record.record import is_repeat, table
@@ -142,6 +142,10 @@ def report_data(study: StudyResult) -> ReportData:
     blocks, spec = tuple(manifest["blocks"]), design.identification.measurements
     markers = design.config.get("markers")
     marked = markers if isinstance(markers, Mapping) else {}
+    varied = {key for factor in design.factors for key in factor.keys}
+    rows: Sequence[dict[str, Any]] = stored_convergence(
+        [row for row in study.numerical if len(row.series) >= 3]  # enough meshes for an order
+    )
     table = study.table.copy(deep=False)
     table.attrs = {}  # each step of pandas would copy the units of its columns in depth
     return ReportData(
@@ -151,7 +155,8 @@ def report_data(study: StudyResult) -> ReportData:
         table=table,
         block=unit_of(design, manifest) if blocks else "",
         blocks=blocks,
-        inputs=_inputs(design),
+        # fixed ones by dotted key, as they are written
+        inputs={key: str(value) for key, value in _written(design).items() if key not in varied},
         assumed=_assumed(design),
         citation=str(marked.get("citation") or "") if spec is None else spec.citation,
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
@@ -162,7 +167,9 @@ def report_data(study: StudyResult) -> ReportData:
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(record for record in study.records if record.retries),
         checks=tuple(_checks(study)),
-        convergence=_convergence(study),
+        convergence=tuple(
+            row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
+        ),
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=manifest["virtual"],
         seed=design.seed,
@@ -176,7 +183,11 @@ def report_data(study: StudyResult) -> ReportData:
         cells=None if design.scheme.rows is None else len(design.treatments),
         roles=design.roles,
         expected=design.expected,
-        ranges=_ranges(study),
+        ranges={
+            name: f"{s.low:g} to {s.high:g} {s.unit}".strip() + (" (logarithm)" if s.log else "")
+            for name, s in design.ranges.items()
+            if study.surfaces
+        },
         # a curve, a fitted test or markers stand beside the simulation
         is_measured=design.identification.calibration.problem is not None
         or spec is not None
@@ -195,31 +206,6 @@ def _scheme(study: StudyResult) -> str:
     why = f": {last['stopped']}" if last["stopped"] else ", and is not finished"
     q2_text = f" (Q2: {listing(reached)})" if reached else ""
     return f"{summary}; it ended with {last['cells']} cells{why}{q2_text}"
-
-
-def _ranges(study: StudyResult) -> dict[str, str]:
-    """Write the ends of the factors that are numbers, where surfaces answer the question."""
-    return {
-        name: f"{s.low:g} to {s.high:g} {s.unit}".strip() + (" (logarithm)" if s.log else "")
-        for name, s in study.design.ranges.items()
-        if study.surfaces
-    }
-
-
-def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
-    """Series with enough meshes for an order."""
-    rows: Sequence[dict[str, Any]] = stored_convergence(
-        [row for row in study.numerical if len(row.series) >= 3]
-    )
-    return tuple(
-        row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
-    )
-
-
-def _inputs(design: Design) -> dict[str, str]:
-    """List the fixed inputs by dotted key, as they are written."""
-    varied = {key for factor in design.factors for lv in factor.levels for key in lv.settings}
-    return {key: str(value) for key, value in _written(design).items() if key not in varied}
 
 
 def _written(design: Design) -> dict[str, object]:
@@ -313,17 +299,13 @@ def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
 
 def _checks(study: StudyResult) -> Iterator[Check]:
     """Make the checks that need the records."""
-    done, missing = len(study.records) - study.failed, study.total - len(study.records)
-    outcome = "pass" if not study.failed and not missing else "caution"
+    cases, outcome = study.cases, "pass"
     consequence = "no effect rests on a part of the cases"
-    if outcome != "pass":
+    if cases["failed"] or cases["missing"]:
+        outcome = "caution"
         consequence = "cases that fail are not missing at random: effects may be biased"
-    yield Check(
-        "every case has an answer",
-        outcome,
-        f"{done} of {study.total} cases converged, {study.failed} failed, {missing} missing",
-        consequence,
-    )
+    counts = "{done} of {total} cases converged, {failed} failed, {missing} missing"
+    yield Check("every case has an answer", outcome, counts.format(**cases), consequence)
     scheme = study.design.scheme
     if scheme.aliases and not study.surfaces:
         mixed = "; ".join(scheme.aliases[:ALIASES])
@@ -334,7 +316,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         if IMPLAUSIBLE in note:
             use = "constants and errors of these tests may be in another unit"
             yield Check(PLAUSIBLE, "caution", note, use)
-    fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
+    fits = {fit["key"]: fit for record in study.plain for fit in record.fits}
     if fits:
         yield from _checks_of_fits(fits, _names_of_fits(study), _misfits(study))
     yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
@@ -578,10 +560,8 @@ def _energy(solved: Sequence[Record]) -> Check:
         f"; in {count(len(snapped), 'case')} the surface snaps to another equilibrium, for "
         f"example past {snaps} mm in {' / '.join(first.levels.values())}"
     )
-    return Check(
-        name, "caution", finding,
-        "the force beyond a snap depends on the mesh; look at a finer one",
-    )  # fmt: skip
+    mend = "the force beyond a snap depends on the mesh; look at a finer one"
+    return Check(name, "caution", finding, mend)
 
 
 def _at_most(fraction: float) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self, cast
 
 from study.api.opened_study import load as load_study
-from study.execution.supervisor import Executor
+from study.execution.local import Executor
 from study.external.forward_model import ForwardCell
 from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest, plain
@@ -18,12 +18,8 @@ from study.harness.design.load import RESULTS, design_root, file_kind, load, loa
 from study.harness.runner import study_refinement
 from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed
-from study.harness.runner.case_series import (
-    refine_cases,
-    refine_within,
-    stored_convergence,
-)
 from study.harness.runner.expansion import expand
+from study.harness.runner.study_refinement import refine_cases, refine_within, stored_convergence
 from study.mechanics.forward.formal_order import FormalOrder
 from study.mechanics.setup.setup import Tables
 from study.record.store import Store
@@ -33,7 +29,7 @@ from study.reporting.output.page import Shown
 from study.simulation import refinement
 from study.simulation.cell import tested
 from study.simulation.fit_problem import data_root, folders, located
-from study.simulation.resolve import LoadedProblem
+from study.simulation.problem_file import LoadedProblem
 from study.simulation.solve_task import by_workers, in_process, kept, slug, store_of
 from study.simulation.tasks import default_jobs, processes
 from study.statistics.convergence.grid_convergence import judged_numbers

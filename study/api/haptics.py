@@ -44,14 +44,8 @@ from study.simulation.cell import CellProblem, tested
 from study.simulation.fit_problem import data_root, folders, located
 from study.simulation.problem_file import default_name
 from study.simulation.tasks import Costs, default_jobs
-from study.statistics.analysis.analysis_request import (
-    AnalysisRequest,
-    Blocking,
-    ResponseScale,
-    threshold,
-)
 from study.statistics.analysis.analysis_result import AnalysisResult
-from study.statistics.analysis.anova import analyze
+from study.statistics.analysis.anova import anova
 from study.statistics.surfaces.surface_function import surface_functions
 
 if TYPE_CHECKING:
@@ -374,10 +368,8 @@ def require(
     places = folders(source, data_root(source))
     fitted, predicted = (located(p, places) for p in (file.fitted, file.predicted))
     file = replace(file, fitted=fitted, predicted=predicted)
-    workers, tests = (
-        jobs or default_jobs(),
-        file.requirement.samples * len(file.requirement.multiples),
-    )
+    workers = jobs or default_jobs()
+    tests = file.requirement.samples * len(file.requirement.multiples)
     if progress is not None and tests:
         seconds = tests * SOLUTIONS_A_TEST * Costs().solve_seconds(fitted) / workers
         time = duration(seconds).replace(THIN, " ")
@@ -559,6 +551,5 @@ def tracking(
 
 def _compared_stages(table: pd.DataFrame, practical: float | None, alpha: float) -> AnalysisResult:
     """Compare the means of visits between stages, within passes where there are any."""
-    blocks = Blocking(("pass",) if "pass" in table else ())
-    scale = ResponseScale(practical=threshold(practical))
-    return analyze(table, AnalysisRequest("distance", ("stage",), blocks, scale=scale, alpha=alpha))
+    block = "pass" if "pass" in table else None
+    return anova(table, "distance", ["stage"], block=block, practical=practical, alpha=alpha)

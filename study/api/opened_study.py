@@ -226,15 +226,12 @@ def opened(folder: Path, ended: Work | None = None, *, tell_unfinished: bool = T
     comparisons = store.read_rows(
         "validation", document.ValidationRow, document.fault_of_comparisons
     )
-    spaces, steps = (
-        store.read_rows("spaces", document.SpaceRow),
-        store.read_rows("adaptive", document.AdaptiveStep),
-    )
     return Study(
         design, folder, records, len(manifest["cases"]), manifest,
-        analyses=analyses, numerical=numerical, warnings=tuple(dict.fromkeys(warnings)),
-        validation=tuple(comparisons),
-        spaces=tuple(spaces), surfaces=fitted, adaptive=tuple(steps),
+        analyses=analyses, numerical=numerical, validation=tuple(comparisons), surfaces=fitted,
+        spaces=tuple(store.read_rows("spaces", document.SpaceRow)),
+        adaptive=tuple(store.read_rows("adaptive", document.AdaptiveStep)),
+        warnings=tuple(dict.fromkeys(warnings)),  # with those of what was read just now
     )  # fmt: skip
 
 

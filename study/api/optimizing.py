@@ -49,11 +49,7 @@ from study.reporting.results.study_answers import (
 )
 from study.simulation import overlay
 from study.statistics.surfaces.surface_factors import Runs, never_run
-from study.statistics.surfaces.surface_inversion import (
-    InversionAgreement,
-    NearestCurves,
-    agreeing,
-)
+from study.statistics.surfaces.surface_inversion import InversionAgreement, NearestCurves, agreeing
 from study.statistics.surfaces.surface_optimum import (
     Goal,
     ResponseLimit,

@@ -19,8 +19,7 @@ from study.api.comparison import compare
 from study.api.opened_study import Study, count_cases, opened
 from study.api.opened_study import load as load_study
 from study.api.predicting import Permission
-from study.execution.local import Worker, uncollected
-from study.execution.supervisor import check_limit
+from study.execution.local import Worker, check_limit, uncollected
 from study.external.command import Function, PythonFunction, check_allowed
 from study.ground.atomic_files import own_folder
 from study.ground.errors import (
@@ -69,7 +68,7 @@ from study.simulation.tasks import computing_on, default_jobs, memory_of, proces
 from study.simulation.virtual_specimens import usual_generator, write_virtual
 
 if TYPE_CHECKING:
-    from study.execution.supervisor import Executor
+    from study.execution.local import Executor
     from study.harness.runner.batch import Progress
     from study.harness.runner.expansion import Work
     from study.simulation.tasks import Engine

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from study.external import command
+from study.external.answers import PredictedCurve
 from study.external.command import External, PythonFunction
-from study.external.exchange import PredictedCurve
 from study.external.forward_model import (
     ForwardCell,
     ForwardFiles,
@@ -193,9 +193,8 @@ _USUAL_DEPTH = 0.1
 
 def folders(source: str | Path, root: Path) -> tuple[Path, ...]:
     """Where a surface may be: the data root first, as measurements; then beside the design."""
-    home = Path(source).resolve().parent if Path(source).is_file() else None
-    places = [root, *([home] if home is not None else [])]
-    return tuple(dict.fromkeys(folder.resolve() for folder in places))
+    beside = [Path(source).resolve().parent] if Path(source).is_file() else []
+    return tuple(dict.fromkeys(folder.resolve() for folder in (root, *beside)))
 
 
 def located(problem: CellProblem, places: Sequence[Path]) -> CellProblem:

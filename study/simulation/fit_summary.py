@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
-from study.external.answers import NoAnswer
+from study.external.answers import NoAnswer, PredictedCurve
 from study.external.command import External, steps_of
-from study.external.exchange import PredictedCurve
 from study.external.forward_model import ForwardCell
 from study.ground.arrays import Array
 from study.ground.curve import Curve
@@ -22,12 +21,7 @@ from study.mechanics.material.homogeneous import MODES, sheared_stretches
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import StabilityResult, ellipticity_end, stability
 from study.mechanics.setup.setup import Setup
-from study.record.document import (
-    WITH_CONSTANTS,
-    FitDocument,
-    MeshDocument,
-    SolverDocument,
-)
+from study.record.document import WITH_CONSTANTS, FitDocument, MeshDocument, SolverDocument
 from study.simulation.cell import CellProblem
 from study.simulation.fit_problem import solved_by
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.external.exchange import PredictedCurve
+from study.external.answers import PredictedCurve
 from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.curve import Curve, spline_from_origin

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from study.execution.supervisor import Executor, Results, Task
+from study.execution.local import Executor, Results, Task
 from study.external.command import External
 from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest

@@ -64,9 +64,7 @@ class Start:
 
 
 def gentler(
-    names: Sequence[str],
-    start: Array,
-    bounds: Sequence[tuple[float, float]] | None = None,
+    names: Sequence[str], start: Array, bounds: Sequence[tuple[float, float]] | None = None
 ) -> list[Start]:
     """List a start (p,), MPa, and what may be tried after it, each one once."""
     starts = [Start(np.array(start, float))]

@@ -13,8 +13,16 @@ from threading import Timer
 import pytest
 
 from study.execution.cluster import Cluster
-from study.execution.local import Loky, Worker
-from study.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, Task, longest_first
+from study.execution.local import (
+    Answer,
+    Inline,
+    Loky,
+    ReadyQueue,
+    Supervisor,
+    Task,
+    Worker,
+    longest_first,
+)
 from study.ground.errors import InputError
 from tests.execution.loopback import ROOT, children
 from tests.execution.misbehaving import line_of, never_up, perform, study_left, task
@@ -117,7 +125,7 @@ def test_the_limit_holds_whatever_a_worker_does(make):
 def test_a_worker_that_never_comes_up_is_given_up(monkeypatch):
     """No limit was asked for: only the start of a process has one of its own."""
     monkeypatch.setattr("study.execution.local.serve_quietly", never_up)
-    monkeypatch.setattr("study.execution.supervisor.START_LIMIT_S", 1.0)
+    monkeypatch.setattr("study.execution.local.START_LIMIT_S", 1.0)
     found = run([task("a"), task("b")])
     assert {o.status for o in found.values()} == {"crashed"}
     assert "no worker was up within 1 s, twice" in found["a"].message

@@ -39,7 +39,7 @@ from study.harness.design.factors import (
     presets_from,
     set_whole,
 )
-from study.harness.design.layout_kinds import scheme_from
+from study.harness.design.layouts import scheme_from
 from study.harness.design.questions import (
     analysis_from,
     expected_from,
@@ -55,11 +55,9 @@ from study.simulation.fit_problem import data_root, folders, located
 from study.simulation.problem_file import (
     CalibrationDesign,
     CalibrationFile,
+    LoadedProblem,
     ProblemFile,
     default_name,
-)
-from study.simulation.resolve import (
-    LoadedProblem,
     identification_from,
     resolve_calibration,
     resolve_problem,

@@ -41,7 +41,7 @@ from study.ground.errors import UnitError, nearest
 from study.ground.tabular import NUMBER
 from study.harness.design.factors import grouped
 from study.harness.design.generators import model_columns
-from study.harness.design.layout_kinds import word_of, words_of
+from study.harness.design.layouts import word_of, words_of
 from study.harness.design.spec import Analysis, Factor, ResponseSpec, Scheme, Terms
 from study.simulation import overlay
 from study.simulation.response import (

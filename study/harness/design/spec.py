@@ -45,8 +45,14 @@ from study.ground.errors import Fault, InputError, nearest
 from study.ground.units import split
 from study.simulation import overlay
 from study.simulation.cell import Case, Cell, Combination, Treatment, block_ids
-from study.simulation.problem_file import Converge, ProblemFile, Report, Virtual
-from study.simulation.resolve import Identification, resolve
+from study.simulation.problem_file import (
+    Converge,
+    Identification,
+    ProblemFile,
+    Report,
+    Virtual,
+    resolve,
+)
 from study.simulation.response import RESPONSES, SCORED, SIMULATED, is_of_material
 from study.statistics.surfaces.input_distribution import InputDistribution
 from study.statistics.surfaces.surface_factors import NumericFactor

@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from study.execution.supervisor import Document, Executor, Outcome, Results, Task
+from study.execution.local import Document, Executor, Outcome, Results, Task
 from study.external.command import check_allowed
 from study.ground.bounded_file import read_json
 from study.ground.canonical import digest
