@@ -193,8 +193,8 @@ _USUAL_DEPTH = 0.1
 
 def folders(source: str | Path, root: Path) -> tuple[Path, ...]:
     """Where a surface may be: the data root first, as measurements; then beside the design."""
-    beside = [Path(source).resolve().parent] if Path(source).is_file() else []
-    return tuple(dict.fromkeys(folder.resolve() for folder in (root, *beside)))
+    home = [Path(source).resolve().parent] if Path(source).is_file() else []
+    return tuple(dict.fromkeys(folder.resolve() for folder in (root, *home)))
 
 
 def located(problem: CellProblem, places: Sequence[Path]) -> CellProblem:

@@ -12,17 +12,9 @@ from threading import Timer
 
 import pytest
 
+from study.execution import local
 from study.execution.cluster import Cluster
-from study.execution.local import (
-    Answer,
-    Inline,
-    Loky,
-    ReadyQueue,
-    Supervisor,
-    Task,
-    Worker,
-    longest_first,
-)
+from study.execution.local import Answer, Inline, Loky, ReadyQueue, Supervisor, Task, Worker
 from study.ground.errors import InputError
 from tests.execution.loopback import ROOT, children
 from tests.execution.misbehaving import line_of, never_up, perform, study_left, task
@@ -224,7 +216,14 @@ def test_the_longest_comes_first_and_what_others_wait_for_before_them():
         Task("g1", nothing, group="g", seconds=2.5),
         Task("g2", nothing, group="g", seconds=2),
     ]
-    assert [t.key for t in longest_first(tasks)] == ["fit", "g1", "long", "case", "g2", "short"]
+    assert [t.key for t in local.longest_first(tasks)] == [
+        "fit",
+        "g1",
+        "long",
+        "case",
+        "g2",
+        "short",
+    ]
     ready = ReadyQueue(tasks, {})
     assert [t.key for _ in range(4) if (t := ready.take(""))] == ["fit", "g1", "long", "g2"]
 
