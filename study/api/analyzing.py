@@ -15,12 +15,18 @@ from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
 from study.reporting.output.analysis_page import analysis_data, write_page
 from study.reporting.output.page import Shown
-from study.statistics.analysis.analysis_request import alpha_faults, on_scale, threshold
+from study.statistics.analysis.analysis_request import (
+    AnovaOptions,
+    Practical,
+    alpha_faults,
+    on_scale,
+    threshold,
+)
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import GroupMoments, SummaryAnalysis
 from study.statistics.analysis.linear_contrast import Contrast
-from study.statistics.analysis.linear_model import Formula, read_formula
+from study.statistics.analysis.linear_model import Formula, Model, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
 from study.statistics.analysis.post_hoc import named_contrasts
 
@@ -29,8 +35,6 @@ if TYPE_CHECKING:
 
     from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
-    from study.statistics.analysis.analysis_request import AnovaOptions, Practical
-    from study.statistics.analysis.linear_model import Model
 
 
 # An analysis as a notebook shows it: a frame, a table in HTML, a figure, a page.

@@ -51,7 +51,7 @@ from study.statistics.surfaces.surface_function import surface_functions
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.api.assemble import StudyResult
+    from study.api.assemble import Study
     from study.ground.arrays import Array
 
 # A material as the input of another program: ``study export --as abaqus`` and ``--as febio``.
@@ -383,7 +383,7 @@ def require(
 
 
 def export_surface(
-    path: str | Path | StudyResult,
+    path: str | Path | Study,
     *,
     response: str | None = None,
     out: str | Path = REPORTS,
@@ -393,7 +393,7 @@ def export_surface(
 
     Parameters
     ----------
-    path : str, Path or StudyResult
+    path : str, Path or Study
         Results folder, design file, name of the study, or the study itself.
     response : str, optional
         One response alone.

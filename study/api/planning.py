@@ -30,7 +30,7 @@ from study.harness.design.overview import Overview, overview
 from study.harness.design.spec import Design, ResponseSpec
 from study.harness.runner.adaptive_cells import continued
 from study.harness.runner.batch import missing, open_fits
-from study.harness.runner.expansion import expand
+from study.harness.runner.expansion import Work, expand
 from study.harness.runner.study_refinement import (
     in_blocks,
     input_work,
@@ -48,9 +48,6 @@ from study.statistics.analysis.power import PlannedVerdicts, fewest_blocks, plan
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from study.harness.runner.expansion import Work
-    from study.record.store import Store
 
 
 # Seconds that a study still needs: its refinements, its controls, and what was noted.

@@ -35,7 +35,7 @@ from study.record.document import (
 from study.record.record import STATUSES, Record
 from study.simulation import response
 from study.simulation.cell import CellProblem
-from study.simulation.fit_summary import (
+from study.simulation.fit_problem import (
     external_curve,
     external_of,
     judged_where_simulated,

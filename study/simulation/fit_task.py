@@ -24,7 +24,7 @@ from study.mechanics.material.material import ENERGIES, is_dimensionless
 from study.mechanics.setup.material_section import MaterialSection
 from study.record.document import FitDocument
 from study.simulation.cell import CellProblem
-from study.simulation.fit_summary import (
+from study.simulation.fit_problem import (
     FitResult,
     InverseExternal,
     described,

@@ -24,8 +24,7 @@ from study.mechanics.setup.setup import Setup
 from study.record.document import ResponseDocument
 from study.record.record import Record
 from study.simulation.cell import Case, Cell, CellProblem, Config, case_id, tested
-from study.simulation.fit_problem import FitProblem, fit_key, start_problem, together
-from study.simulation.fit_summary import FitResult
+from study.simulation.fit_problem import FitProblem, FitResult, fit_key, start_problem, together
 from study.simulation.provenance import versions
 
 # A case as it goes to a worker: what is known of its record, its problem, its fits.

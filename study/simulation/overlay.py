@@ -11,8 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
-from study.external.forward_model import ForwardModel
-from study.external.parameters import is_parameter
+from study.external.forward_model import ForwardModel, is_parameter
 from study.ground.declaration import (
     MAX_NAME,
     AsWritten,

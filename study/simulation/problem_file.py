@@ -14,8 +14,14 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, cast
 
-from study.external.forward_model import ForwardModel, Refinement
-from study.external.parameters import ParameterProblem, parameter_key, parameters_from, stands_alone
+from study.external.forward_model import (
+    ForwardModel,
+    ParameterProblem,
+    Refinement,
+    parameter_key,
+    parameters_from,
+    stands_alone,
+)
 from study.ground import units
 from study.ground.declaration import (
     DERIVED,

@@ -22,8 +22,7 @@ from study.ground.errors import Fault, InputError, UnitError
 from study.ground.units import parse
 from study.simulation import case, fit_task, solve_task
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import FitPart, FitProblem
-from study.simulation.fit_summary import USUAL_EVALUATIONS
+from study.simulation.fit_problem import USUAL_EVALUATIONS, FitPart, FitProblem
 from study.simulation.job import CaseJob, FitJob
 from study.simulation.provenance import versions
 

@@ -24,8 +24,7 @@ from study.api.opened_study import load as open_study
 from study.external import answers, command, exchange
 from study.external.answers import NoAnswer, values_of_files
 from study.external.command import External
-from study.external.forward_model import ForwardFiles, ForwardModel, ValueFile
-from study.external.parameters import ParameterProblem
+from study.external.forward_model import ForwardFiles, ForwardModel, ParameterProblem, ValueFile
 from study.ground.curve import Curve
 from study.ground.errors import InputError, RefusedError
 from study.simulation.cell import Cell, CellProblem

@@ -27,9 +27,17 @@ from study.ground.declaration import (
 from study.ground.diagnostics import Faults, flatten, noted, read_table
 from study.ground.errors import nearest
 from study.harness.design import generators
-from study.harness.design.factors import known_level, levels_at, setting_in
 from study.harness.design.generators import Word, d_optimal, efficiency
-from study.harness.design.spec import MAX_RUNS, CellCount, Factor, Scheme, Sequential
+from study.harness.design.spec import (
+    MAX_RUNS,
+    CellCount,
+    Factor,
+    Scheme,
+    Sequential,
+    known_level,
+    levels_at,
+    setting_in,
+)
 
 #: factors with the levels that a design needs, and which combinations of them are run
 Made = tuple[tuple[Factor, ...], Scheme]

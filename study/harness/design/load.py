@@ -14,8 +14,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from study.external.forward_model import ValueFile
-from study.external.parameters import check_names, checked, overridden, stands_alone
+from study.external.forward_model import ValueFile, check_names, checked, overridden, stands_alone
 from study.ground import diagnostics
 from study.ground.contrast import sides_of
 from study.ground.declaration import table_of
@@ -31,14 +30,6 @@ from study.ground.diagnostics import (
     read_table,
 )
 from study.ground.errors import Fault, InputError, nearest
-from study.harness.design.factors import (
-    Presets,
-    exclusions_from,
-    factors_from,
-    grouped,
-    presets_from,
-    set_whole,
-)
 from study.harness.design.layouts import scheme_from
 from study.harness.design.questions import (
     analysis_from,
@@ -46,7 +37,18 @@ from study.harness.design.questions import (
     responses_from,
     uncertainty_from,
 )
-from study.harness.design.spec import RESPONSES_MEND, Design, DesignFile, Level
+from study.harness.design.spec import (
+    RESPONSES_MEND,
+    Design,
+    DesignFile,
+    Level,
+    Presets,
+    exclusions_from,
+    factors_from,
+    grouped,
+    presets_from,
+    set_whole,
+)
 from study.record.document import ManifestDocument
 from study.record.store import Store
 from study.simulation import overlay, plausibility

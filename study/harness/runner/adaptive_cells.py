@@ -17,10 +17,9 @@ from study.ground.atomic_files import ID
 from study.ground.canonical import digest
 from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
-from study.harness.design.factors import levels_at
 from study.harness.design.layouts import share_of
 from study.harness.design.load import dump, loads
-from study.harness.design.spec import Design, ResponseSpec, Sequential
+from study.harness.design.spec import Design, ResponseSpec, Sequential, levels_at
 from study.harness.runner.batch import Progress, run_batch
 from study.harness.runner.expansion import Work, expand, relabeled
 from study.harness.runner.record_analysis import (

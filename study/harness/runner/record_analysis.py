@@ -25,17 +25,18 @@ from study.harness.design.load import is_constant
 from study.harness.design.overview import SAMPLED
 from study.harness.design.questions import usual_value
 from study.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.record.record import answered_often, is_repeat, is_same_run, table
+from study.record.record import Record, answered_often, is_repeat, is_same_run, table
 from study.simulation import overlay
 from study.simulation.response import CURVE_RESPONSES
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
+    AnovaOptions,
     Blocking,
     ResponseScale,
     threshold,
 )
 from study.statistics.analysis.anova import analyze, effects
-from study.statistics.analysis.anova_table import DepthEffect
+from study.statistics.analysis.anova_table import DepthEffect, Effect
 from study.statistics.analysis.failures import CaseFate, cause
 from study.statistics.analysis.linear_model import Model, terms_of
 from study.statistics.analysis.repeats import common_seeds
@@ -51,12 +52,9 @@ if TYPE_CHECKING:
 
     from study.ground.arrays import Array
     from study.harness.design.spec import Design, Factor, ResponseSpec
-    from study.record.record import Record
     from study.record.store import Store
     from study.simulation.cell import Treatment
-    from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.anova_table import Effect
 
 
 def analyze_records(

@@ -47,8 +47,13 @@ from study.simulation.calibration.measured_tests import (
 from study.simulation.calibration.nuisance import NuisancePredictions, with_nuisance
 from study.simulation.calibration.optimal_tests import next_tests
 from study.simulation.calibration.resampling import Starts, bootstrap, excluded, scattered
-from study.simulation.fit_problem import FitProblem, fitted_test, start_problem
-from study.simulation.fit_summary import stability_over, status_of
+from study.simulation.fit_problem import (
+    FitProblem,
+    fitted_test,
+    stability_over,
+    start_problem,
+    status_of,
+)
 from study.simulation.problem_file import CalibratedTest, CalibrationDesign
 from study.simulation.provenance import code_version
 from study.simulation.response import residual_N
