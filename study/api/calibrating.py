@@ -31,7 +31,7 @@ from study.mechanics.indentation.indentation_modulus import (
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
 from study.mechanics.measurement import inspection
 from study.reporting.content.calibration_content import calibration_blocks
-from study.reporting.figures.axes import Drawing, render, shown
+from study.reporting.figures.axes import render, shown
 from study.reporting.output.page import Shown
 from study.simulation.calibration.calibrate_tests import calibrate as run_calibration
 from study.simulation.calibration.calibration_bound import numerical_bound, with_numerical
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.reporting.content.blocks import Block as ResultBlock
+    from study.reporting.figures.axes import Drawing
     from study.reporting.figures.curve_figures import FitPanel
     from study.simulation.problem_file import CalibrationDesign
     from study.simulation.staged_fit import FitStep

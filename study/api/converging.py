@@ -23,14 +23,14 @@ from study.harness.runner.study_refinement import refine_cases, refine_within, s
 from study.mechanics.forward.formal_order import FormalOrder
 from study.mechanics.setup.setup import Tables
 from study.record.store import Store
-from study.reporting.figures.axes import Drawing, shown
+from study.reporting.figures.axes import shown
 from study.reporting.output.convergence_page import series_blocks, write_convergence
 from study.reporting.output.page import Shown
 from study.simulation import refinement
-from study.simulation.cell import tested
+from study.simulation.cell import folder_name, tested
 from study.simulation.fit_problem import data_root, folders, located
 from study.simulation.problem_file import LoadedProblem
-from study.simulation.solve_task import Solver, by_workers, in_process, kept, slug, store_of
+from study.simulation.solve_task import Solver, by_workers, in_process, kept, store_of
 from study.simulation.tasks import default_jobs, processes
 from study.statistics.convergence.grid_convergence import ConvergenceResult, judged_numbers
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from study.harness.design.spec import Design
     from study.reporting.content.blocks import Block, Document
+    from study.reporting.figures.axes import Drawing
 
 
 # What ``study converge`` found of a problem, or of the cells of a design.
@@ -75,7 +76,7 @@ class SeriesDocument(Shown, dict[str, object]):
         """Write the page where a folder is given, and name it."""
         if reports is not None:
             pictures, window = refinement.meshes(cells, problems)
-            folder = reports / slug(name)
+            folder = reports / folder_name(name, "problem")
             page = write_convergence(name, question, self, folder, pictures, window)
             self["report"] = str(page)
         return self

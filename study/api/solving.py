@@ -17,12 +17,14 @@ from study.mechanics.material.stability import check
 from study.mechanics.setup.setup import Problem, Tables
 from study.mechanics.solver.solution import Solution
 from study.reporting.content.blocks import Block, Table, Verbatim
-from study.reporting.figures.axes import Drawing, shown
+from study.reporting.figures.axes import shown
 from study.reporting.output.page import Shown
 from study.simulation import plausibility
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from study.reporting.figures.axes import Drawing
 
 
 # A simulation as a notebook shows it: a frame, a table in HTML, a figure.

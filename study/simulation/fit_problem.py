@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -452,15 +452,10 @@ def start_problem(problem: FitProblem) -> FitProblem | None:
 # What became of a fit: constants with all that is known of them, or why there are none.
 
 
-FitStatus = Literal["converged", "at-edge", "at-kink", "not-converged"]
-
-
-def status_of(fit: Fit) -> FitStatus:
+def status_of(fit: Fit) -> str:
     """How a fit ended, in the words of every verb."""
-    if fit.status is Status.at_edge:
-        return "at-edge"
-    if fit.status is Status.at_kink:
-        return "at-kink"
+    if fit.status in (Status.at_edge, Status.at_kink):
+        return fit.status.name.replace("_", "-")
     return "converged" if fit.converged else "not-converged"
 
 
@@ -476,11 +471,6 @@ class FitResult:
     prediction: PredictedCurve | None = None
     #: What the fit took that gave the start.
     start_seconds: float = 0.0
-
-    @classmethod
-    def without_answer(cls, status: str, message: str) -> FitResult:
-        """Outcome of a fit that could not be begun."""
-        return cls(status, {"message": message})
 
     @property
     def converged(self) -> bool:

@@ -7,7 +7,6 @@ resolved; every fault is noted.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -81,7 +80,7 @@ from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import MESH_LEVELS, Model
 from study.mechanics.setup.test_kind import TEST_KINDS, Test
 from study.simulation import overlay, plausibility
-from study.simulation.cell import Cell, CellProblem
+from study.simulation.cell import Cell, CellProblem, folder_name
 from study.simulation.overlay import material_from
 from study.simulation.response import RESPONSES
 
@@ -329,7 +328,7 @@ class StudyTable:
 def default_name(source: str) -> str:
     """Name of a study that has none: that of its file."""
     stem = Path(source).stem if "\0" not in source else ""
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-")[:80] or "study"
+    return folder_name(stem, "study")
 
 
 @section

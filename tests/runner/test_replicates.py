@@ -209,7 +209,7 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more():
 
 def test_a_fit_that_failed_is_not_resampled():
     problem, measured, _ = fitted("neo-hookean", None, seed=1)
-    failed = FitResult.without_answer("not-converged", "too stiff")
+    failed = FitResult("not-converged", {"message": "too stiff"})
     task = FitJob(problem, (measured,), failed, (2011, 1))
     found = fit_task.refitted(task)
     assert found.status == "not-converged"
