@@ -16,13 +16,13 @@ import study
 from study.external.forward_model import ForwardModel
 from study.ground import declaration, units
 from study.harness.design import spec
-from study.harness.design.layout_kinds import LAYOUTS
+from study.harness.design.layouts import LAYOUTS
 from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS
 from study.mechanics.setup.setup import Model
 from study.mechanics.setup.test_kind import Test
-from study.simulation.material_table import MaterialTable
+from study.simulation.overlay import MaterialTable
 
 HERE = Path(__file__).parent
 #: Header of a table in a file, and the class that declares its keys.

@@ -105,8 +105,7 @@ def _tasks_in_this_process():
 
     What has a limit of time still gets processes, and so does what tests ask :func:`processes` for.
     """
-    from study.execution.local import Loky
-    from study.execution.supervisor import Inline
+    from study.execution.local import Inline, Loky
 
     in_processes = Loky.run
 

@@ -181,7 +181,7 @@ def _uncertainty(
     problem: Problem, values: Sequence[float], sizes: Sequence[float]
 ) -> tuple[str, float | None]:
     """Behaviour of a series and uncertainty on its coarsest mesh; it rests on the public GCI."""
-    from study.harness.runner.case_series import CaseSeries
+    from study.harness.runner.study_refinement import CaseSeries
     from study.mechanics.forward.formal_order import formal_order
 
     if len(values) < 2:

@@ -14,13 +14,13 @@ from study.ground.errors import names_in_bounds
 #: names by their modules
 _NAMES = {
     "harness.design.load": "load_design",
+    "harness.design.overview": "augment",
     "api.study": "run demo report verify",
-    "api.planning": "plan augment run_sheet status",
-    "api.contrast_power": "power contrasts",
+    "api.planning": "plan run_sheet status power",
     "api.comparison": "explain diff",
     "api.serving": "serve",
     "api.opened_study": "load import_runs",
-    "api.analyzing": "analyze",
+    "api.analyzing": "analyze contrasts",
     "api.predicting": "fit_surface fit_surfaces predict",
     "api.optimizing": "optimize invert",
     "statistics.analysis.anova": "anova",

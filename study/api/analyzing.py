@@ -15,20 +15,26 @@ from study.reporting.content.analysis_content import analysis_blocks
 from study.reporting.content.report_facts import facts
 from study.reporting.output.analysis_page import analysis_data, write_page
 from study.reporting.output.page import Shown
-from study.statistics.analysis.analysis_request import alpha_faults, on_scale, threshold
+from study.statistics.analysis.analysis_request import (
+    AnovaOptions,
+    Practical,
+    alpha_faults,
+    on_scale,
+    threshold,
+)
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
+from study.statistics.analysis.anova_table import Contrast
 from study.statistics.analysis.comparisons import GroupMoments, SummaryAnalysis
-from study.statistics.analysis.linear_model import Formula, read_formula
+from study.statistics.analysis.linear_model import Formula, Model, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
+from study.statistics.analysis.post_hoc import named_contrasts
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
-    from study.statistics.analysis.analysis_request import AnovaOptions, Practical
-    from study.statistics.analysis.linear_model import Model
 
 
 # An analysis as a notebook shows it: a frame, a table in HTML, a figure, a page.
@@ -261,3 +267,34 @@ def fit_mixed_model(
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
     named = str(response) if chosen is None else chosen.name
     return mixed_model(study.table, named, names, **options)
+
+
+# Differences of two settings that an analyst names, of a finished analysis.
+
+
+def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contrast, ...]:
+    """Estimate differences of sets of cells that the analyst names.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Of :func:`analyze` or :func:`study.anova`.
+    asked : str or sequence of str
+        Such as ``"material=stiff, range=60 % - material=soft, range=60 %"``; a factor that a
+        side leaves out is averaged over.
+
+    Returns
+    -------
+    tuple of Contrast
+        Difference, its interval alone and with all others together, p, Holm's p, U, verdict.
+
+    Raises
+    ------
+    InputError
+        For a factor or level that does not exist, or a setting without a row.
+    """
+    asked = [asked] if isinstance(asked, str) else list(asked)
+    estimated, faults = named_contrasts(found, asked)
+    if faults:
+        raise InputError(faults)
+    return estimated

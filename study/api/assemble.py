@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,13 +15,31 @@ from study.ground.arrays import gathered
 from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.ground.diagnostics import dump_toml, flatten, parse_toml
+from study.ground.errors import Fault, InputError, nearest
 from study.harness.design.overview import calibration_factors, equivalent_groups
-from study.harness.runner.case_series import stored_convergence
+from study.harness.design.spec import Design, ResponseSpec
+from study.harness.runner import record_analysis
 from study.harness.runner.record_analysis import fates, unit_of
+from study.harness.runner.study_refinement import stored_convergence
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.measurement.measured_test import IMPLAUSIBLE
-from study.record.record import is_repeat, table
-from study.reporting.content.text import count, listing, name_of, percent, quantity
+from study.record.record import Record, is_repeat, table
+from study.reporting import content
+from study.reporting.content.analysis_content import contrasts
+from study.reporting.content.blocks import Block, Sentence, Verbatim
+from study.reporting.content.comparison_content import conclusion_lines
+from study.reporting.content.report_facts import facts
+from study.reporting.content.sentences import would_change
+from study.reporting.content.text import (
+    THIN,
+    case_counts,
+    count,
+    listing,
+    name_of,
+    percent,
+    quantity,
+)
+from study.reporting.output.page import Shown
 from study.reporting.results.study_result import (
     ANY,
     FITS_DESCRIBE,
@@ -31,13 +50,17 @@ from study.reporting.results.study_result import (
     FittedConstant,
     ReportData,
 )
+from study.simulation.response import response_unit
 from study.statistics.analysis.failures import FailurePattern, failure_pattern
+from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design
-    from study.record.record import Record
+    from study.reporting.figures.axes import Drawing
+    from study.statistics.analysis.analysis_request import AnovaOptions
+    from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.statistics.analysis.anova_table import Effect
 
 
 #: cells that must agree physically may differ by the tolerance of the solver, besides the error of
@@ -52,9 +75,9 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
            "expected")  # fmt: skip
 
 
-@dataclass(frozen=True)
-class StudyResult(Findings):
-    """A study with everything that its records tell."""
+@dataclass(frozen=True, repr=False)
+class Study(Shown, Findings):
+    """What :func:`study.run` and :func:`study.report` return: all that its records tell."""
 
     design: Design
     folder: Path
@@ -135,13 +158,105 @@ class StudyResult(Findings):
         }
         return answer | {key: value for key, value in where_any.items() if value}
 
+    @cached_property
+    def _data(self) -> ReportData:
+        return report_data(self)
 
-def report_data(study: StudyResult) -> ReportData:
+    def analyzed(
+        self, response: str | None, factors: Sequence[str], options: AnovaOptions
+    ) -> AnalysisResult:
+        """Analyze one response, the first by default; what is not said is that of the design."""
+        by_name = {r.name: r for r in self.design.responses}
+        name = response or next(iter(by_name))
+        if not self.records:
+            raise InputError(f"{self.folder}: no case is computed yet")
+        names = list(self.records[0].responses)
+        if name not in names:
+            raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, names)))
+        declared = by_name.get(name) or ResponseSpec(name, unit=response_unit(name) or "")
+        return record_analysis.analyze_records(
+            self.design, self.records, declared, self.numerical, factors, options
+        )
+
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """Sentences that answer the question, which cases fail, and what would change them."""
+        data, pattern = self._data, self._data.failure_pattern
+        all_facts = facts(data)
+        failures = () if pattern is None else content.tables.failure_sentences(pattern, data.labels)
+        change = f"What would change this? {would_change(data, all_facts)}"
+        lines = (*content.sentences.answer(data, all_facts), *failures, change)
+        return tuple(line.replace(THIN, " ") for line in lines)
+
+    @property
+    def effects(self) -> pd.DataFrame:
+        """Verdict of every response and factor with its effect, interval and p, one row each."""
+        import pandas as pd
+
+        return pd.DataFrame(self.verdicts)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Table of the study, one tidy row a case, failed ones included."""
+        return self.table
+
+    def plot(self, response: str | None = None) -> Drawing:
+        """Draw the largest difference of every term with its interval against what matters."""
+        from study.reporting.figures.effect_figures import shown_effect_sizes
+
+        by_name = {item.name: item for item in facts(self._data)}
+        name = response or next(iter(by_name), "")
+        if name not in by_name:
+            rule = f"there is no response {name!r}"
+            raise InputError(Fault("response", rule, nearest(name, by_name)))
+        return shown_effect_sizes(by_name[name], self._data.labels)
+
+    def blocks(self) -> Iterator[Block | None]:
+        """Answer, verdicts and differences that the design asks for, then surfaces."""
+        yield Verbatim(f"\n{self.design.name}: {case_counts(self.cases)}")
+        try:
+            yield from list(self._verdicts())
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
+            # the numbers are stored and the report is separate: a table must not end the run
+            yield Sentence(f"The verdict table could not be printed: {error}.")
+        for fitted in self.surfaces:
+            yield from content.surface_content.surface_blocks(fitted, self._data)
+        if self.beside is not None:
+            yield Verbatim("")
+            yield from map(Sentence, conclusion_lines(self.beside))
+        if self.report is not None:
+            yield Verbatim(f"\nreport: {self.report}")
+
+    def _verdicts(self) -> Iterator[Block]:
+        yield from map(Sentence, self.answers)
+        all_facts, labels = facts(self._data), self._data.labels
+        yield replace(content.tables.verdicts(all_facts, self._data), note="")
+        for item in all_facts:
+            for effect in item.effects:
+                if effect.verdict == NOT_RESOLVED or refused(effect):
+                    yield Sentence(content.effect_words.open_verdict(effect, item, labels))
+            if (table := contrasts(item)) is not None:
+                yield replace(table, name=f"{item.title}: asked for", note="")
+
+
+def refused(effect: Effect) -> bool:
+    """Whether the interval of a difference makes a claim that its verdict does not."""
+    ends = (effect.low, effect.high, effect.practical)
+    if effect.verdict != CANNOT_TELL or None in ends:
+        return False
+    low, high, practical = (math.log(x) if effect.is_ratio else x for x in ends if x is not None)
+    return bool(claim(low, high, practical))
+
+
+def report_data(study: Study) -> ReportData:
     """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
     blocks, spec = tuple(manifest["blocks"]), design.identification.measurements
     markers = design.config.get("markers")
     marked = markers if isinstance(markers, Mapping) else {}
+    varied = {key for factor in design.factors for key in factor.keys}
+    rows: Sequence[dict[str, Any]] = stored_convergence(
+        [row for row in study.numerical if len(row.series) >= 3]  # enough meshes for an order
+    )
     table = study.table.copy(deep=False)
     table.attrs = {}  # each step of pandas would copy the units of its columns in depth
     return ReportData(
@@ -151,7 +266,8 @@ def report_data(study: StudyResult) -> ReportData:
         table=table,
         block=unit_of(design, manifest) if blocks else "",
         blocks=blocks,
-        inputs=_inputs(design),
+        # fixed ones by dotted key, as they are written
+        inputs={key: str(value) for key, value in _written(design).items() if key not in varied},
         assumed=_assumed(design),
         citation=str(marked.get("citation") or "") if spec is None else spec.citation,
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
@@ -162,7 +278,9 @@ def report_data(study: StudyResult) -> ReportData:
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(record for record in study.records if record.retries),
         checks=tuple(_checks(study)),
-        convergence=_convergence(study),
+        convergence=tuple(
+            row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
+        ),
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=manifest["virtual"],
         seed=design.seed,
@@ -176,7 +294,11 @@ def report_data(study: StudyResult) -> ReportData:
         cells=None if design.scheme.rows is None else len(design.treatments),
         roles=design.roles,
         expected=design.expected,
-        ranges=_ranges(study),
+        ranges={
+            name: f"{s.low:g} to {s.high:g} {s.unit}".strip() + (" (logarithm)" if s.log else "")
+            for name, s in design.ranges.items()
+            if study.surfaces
+        },
         # a curve, a fitted test or markers stand beside the simulation
         is_measured=design.identification.calibration.problem is not None
         or spec is not None
@@ -185,7 +307,7 @@ def report_data(study: StudyResult) -> ReportData:
     )
 
 
-def _scheme(study: StudyResult) -> str:
+def _scheme(study: Study) -> str:
     """Say which cells were run, and how those that were added came about."""
     summary = study.design.scheme.summary
     if not study.adaptive:
@@ -195,31 +317,6 @@ def _scheme(study: StudyResult) -> str:
     why = f": {last['stopped']}" if last["stopped"] else ", and is not finished"
     q2_text = f" (Q2: {listing(reached)})" if reached else ""
     return f"{summary}; it ended with {last['cells']} cells{why}{q2_text}"
-
-
-def _ranges(study: StudyResult) -> dict[str, str]:
-    """Write the ends of the factors that are numbers, where surfaces answer the question."""
-    return {
-        name: f"{s.low:g} to {s.high:g} {s.unit}".strip() + (" (logarithm)" if s.log else "")
-        for name, s in study.design.ranges.items()
-        if study.surfaces
-    }
-
-
-def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
-    """Series with enough meshes for an order."""
-    rows: Sequence[dict[str, Any]] = stored_convergence(
-        [row for row in study.numerical if len(row.series) >= 3]
-    )
-    return tuple(
-        row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
-    )
-
-
-def _inputs(design: Design) -> dict[str, str]:
-    """List the fixed inputs by dotted key, as they are written."""
-    varied = {key for factor in design.factors for lv in factor.levels for key in lv.settings}
-    return {key: str(value) for key, value in _written(design).items() if key not in varied}
 
 
 def _written(design: Design) -> dict[str, object]:
@@ -311,19 +408,15 @@ def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
     return {other: float(r) for other, r in pairs if other != name and r is not None}
 
 
-def _checks(study: StudyResult) -> Iterator[Check]:
+def _checks(study: Study) -> Iterator[Check]:
     """Make the checks that need the records."""
-    done, missing = len(study.records) - study.failed, study.total - len(study.records)
-    outcome = "pass" if not study.failed and not missing else "caution"
+    cases, outcome = study.cases, "pass"
     consequence = "no effect rests on a part of the cases"
-    if outcome != "pass":
+    if cases["failed"] or cases["missing"]:
+        outcome = "caution"
         consequence = "cases that fail are not missing at random: effects may be biased"
-    yield Check(
-        "every case has an answer",
-        outcome,
-        f"{done} of {study.total} cases converged, {study.failed} failed, {missing} missing",
-        consequence,
-    )
+    counts = "{done} of {total} cases converged, {failed} failed, {missing} missing"
+    yield Check("every case has an answer", outcome, counts.format(**cases), consequence)
     scheme = study.design.scheme
     if scheme.aliases and not study.surfaces:
         mixed = "; ".join(scheme.aliases[:ALIASES])
@@ -334,13 +427,13 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         if IMPLAUSIBLE in note:
             use = "constants and errors of these tests may be in another unit"
             yield Check(PLAUSIBLE, "caution", note, use)
-    fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
+    fits = {fit["key"]: fit for record in study.plain for fit in record.fits}
     if fits:
         yield from _checks_of_fits(fits, _names_of_fits(study), _misfits(study))
     yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
 
 
-def _names_of_fits(study: StudyResult) -> dict[str, str]:
+def _names_of_fits(study: Study) -> dict[str, str]:
     """Levels, block and specimen of each fit by its key."""
     entering, spec = calibration_factors(study.design), study.design.identification.measurements
     kind = f"{spec.block} " if spec is not None and spec.block else ""
@@ -361,7 +454,7 @@ def _names_of_fits(study: StudyResult) -> dict[str, str]:
     }
 
 
-def _misfits(study: StudyResult) -> dict[str, str]:
+def _misfits(study: Study) -> dict[str, str]:
     """Say what each fit misses, by its key; of one to all blocks but one, with their names.
 
     A fit numbers its curves alone, for its key must not change with the name of a specimen. With
@@ -471,7 +564,7 @@ def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:
     )
 
 
-def _provenance(study: StudyResult) -> dict[str, str]:
+def _provenance(study: Study) -> dict[str, str]:
     manifest = study.manifest
     out = {f"version of {k}": str(v) for k, v in manifest.get("versions", {}).items()}
     solvers = {str(r.solver.get("name")) for r in study.records if r.solver.get("name")}
@@ -578,10 +671,8 @@ def _energy(solved: Sequence[Record]) -> Check:
         f"; in {count(len(snapped), 'case')} the surface snaps to another equilibrium, for "
         f"example past {snaps} mm in {' / '.join(first.levels.values())}"
     )
-    return Check(
-        name, "caution", finding,
-        "the force beyond a snap depends on the mesh; look at a finer one",
-    )  # fmt: skip
+    mend = "the force beyond a snap depends on the mesh; look at a finer one"
+    return Check(name, "caution", finding, mend)
 
 
 def _at_most(fraction: float) -> str:

@@ -23,7 +23,11 @@ from study.harness.design.load import (
     template,
 )
 from study.laboratory.tracker.tracker_recording import is_tracking, load_tracking, write_recording
-from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
+from study.mechanics.indentation.indentation_modulus import (
+    AnalyticCalibration,
+    CurveModulus,
+    IndentationTest,
+)
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
 from study.mechanics.measurement import inspection
 from study.reporting.content.calibration_content import calibration_blocks
@@ -33,18 +37,21 @@ from study.simulation.calibration.calibrate_tests import calibrate as run_calibr
 from study.simulation.calibration.calibration_bound import numerical_bound, with_numerical
 from study.simulation.calibration.calibration_result import CalibrationResult
 from study.simulation.calibration.measured_tests import indentation_test
-from study.simulation.calibration.model_comparison import choose, compare
+from study.simulation.calibration.model_comparison import (
+    EnergyChoice,
+    ModelComparison,
+    choose,
+    compare,
+)
 from study.simulation.fit_problem import folders, located
 from study.simulation.virtual_specimens import usual_generator, write_tests, write_virtual
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.mechanics.indentation.indentation_modulus import CurveModulus
     from study.reporting.content.blocks import Block as ResultBlock
     from study.reporting.figures.axes import Drawing
     from study.reporting.figures.curve_figures import FitPanel
-    from study.simulation.calibration.model_comparison import EnergyChoice, ModelComparison
     from study.simulation.problem_file import CalibrationDesign
     from study.simulation.staged_fit import FitStep
 

@@ -25,7 +25,7 @@ from study.simulation.provenance import versions
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 if TYPE_CHECKING:
-    from study.api.assemble import StudyResult
+    from study.api.assemble import Study
     from study.reporting.results.study_result import ResponseAnalysis
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
@@ -38,7 +38,7 @@ _HOLDS = {MATTERS: study_answers.MATTERS, NO_DIFFERENCE: study_answers.NO_DIFFER
 class StudyComparison(Keyed):
     """Two opened studies and what they say beside each other."""
 
-    studies: tuple[StudyResult, StudyResult]
+    studies: tuple[Study, Study]
     beside: Beside
 
     @property
@@ -66,7 +66,7 @@ def diff(
     return StudyComparison(studies, compare(*studies))
 
 
-def compare(first: StudyResult, second: StudyResult) -> Beside:
+def compare(first: Study, second: Study) -> Beside:
     """Set two opened studies beside each other."""
     if first.folder.resolve() == second.folder.resolve():
         mend = "name two different studies, for example results/NAME and results/OTHER"
@@ -104,7 +104,7 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
     return replace(comparison, summary=summary(comparison))
 
 
-_Studies = tuple["StudyResult", "StudyResult"]
+_Studies = tuple["Study", "Study"]
 
 
 #: a response and its analysis, and those of one response in both studies
@@ -112,7 +112,7 @@ _Analyzed = tuple["ResponseAnalysis", "AnalysisResult"]
 _Pair = tuple[_Analyzed, _Analyzed]
 
 
-def _analyzed(study: StudyResult) -> dict[str, _Analyzed]:
+def _analyzed(study: Study) -> dict[str, _Analyzed]:
     return {
         a.name: (a, a.result) for a in study.analyses if a.result is not None and a.result.effects
     }
@@ -350,7 +350,7 @@ _DIGITS = 12
 _NOT_RECORDED = "not recorded"
 
 
-def changes(first: StudyResult, second: StudyResult) -> tuple[Change, ...]:
+def changes(first: Study, second: Study) -> tuple[Change, ...]:
     """Every input that differs, the design's keys first."""
     studies = (first, second)
     return (
@@ -421,7 +421,7 @@ def _code(versions: Mapping[str, str]) -> dict[str, str]:
     return {f"version of {name}": str(value) for name, value in versions.items()}
 
 
-def _truths(first: StudyResult, second: StudyResult) -> Iterator[Change]:
+def _truths(first: Study, second: Study) -> Iterator[Change]:
     """Compare how virtual specimens were made; a single file may have any name."""
     if not (first.manifest["virtual"] or second.manifest["virtual"]):
         return
@@ -438,7 +438,7 @@ def _truths(first: StudyResult, second: StudyResult) -> Iterator[Change]:
         yield Change("truth", "truth of the specimens", (states[0], states[1]))
 
 
-def _truth(study: StudyResult) -> dict[str, str]:
+def _truth(study: Study) -> dict[str, str]:
     """Keys of the truth of a study's specimens; empty where it is measured or unknown."""
     recorded = study.manifest.get("truths")
     if recorded is None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self, cast
 
 from study.api.opened_study import load as load_study
-from study.execution.supervisor import Executor
+from study.execution.local import Executor
 from study.external.forward_model import ForwardCell
 from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest, plain
@@ -18,12 +18,8 @@ from study.harness.design.load import RESULTS, design_root, file_kind, load, loa
 from study.harness.runner import study_refinement
 from study.harness.runner.batch import Progress as RunProgress
 from study.harness.runner.batch import computed
-from study.harness.runner.case_series import (
-    refine_cases,
-    refine_within,
-    stored_convergence,
-)
 from study.harness.runner.expansion import expand
+from study.harness.runner.study_refinement import refine_cases, refine_within, stored_convergence
 from study.mechanics.forward.formal_order import FormalOrder
 from study.mechanics.setup.setup import Tables
 from study.record.store import Store
@@ -31,12 +27,12 @@ from study.reporting.figures.axes import shown
 from study.reporting.output.convergence_page import series_blocks, write_convergence
 from study.reporting.output.page import Shown
 from study.simulation import refinement
-from study.simulation.cell import tested
+from study.simulation.cell import folder_name, tested
 from study.simulation.fit_problem import data_root, folders, located
-from study.simulation.resolve import LoadedProblem
-from study.simulation.solve_task import by_workers, in_process, kept, slug, store_of
+from study.simulation.problem_file import LoadedProblem
+from study.simulation.solve_task import Solver, by_workers, in_process, kept, store_of
 from study.simulation.tasks import default_jobs, processes
-from study.statistics.convergence.grid_convergence import judged_numbers
+from study.statistics.convergence.grid_convergence import ConvergenceResult, judged_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,8 +40,6 @@ if TYPE_CHECKING:
     from study.harness.design.spec import Design
     from study.reporting.content.blocks import Block, Document
     from study.reporting.figures.axes import Drawing
-    from study.simulation.solve_task import Solver
-    from study.statistics.convergence.grid_convergence import ConvergenceResult
 
 
 # What ``study converge`` found of a problem, or of the cells of a design.
@@ -82,7 +76,7 @@ class SeriesDocument(Shown, dict[str, object]):
         """Write the page where a folder is given, and name it."""
         if reports is not None:
             pictures, window = refinement.meshes(cells, problems)
-            folder = reports / slug(name)
+            folder = reports / folder_name(name, "problem")
             page = write_convergence(name, question, self, folder, pictures, window)
             self["report"] = str(page)
         return self

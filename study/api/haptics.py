@@ -43,20 +43,14 @@ from study.simulation.cell import CellProblem, tested
 from study.simulation.fit_problem import data_root, folders, located
 from study.simulation.problem_file import default_name
 from study.simulation.tasks import Costs, default_jobs
-from study.statistics.analysis.analysis_request import (
-    AnalysisRequest,
-    Blocking,
-    ResponseScale,
-    threshold,
-)
 from study.statistics.analysis.analysis_result import AnalysisResult
-from study.statistics.analysis.anova import analyze
+from study.statistics.analysis.anova import anova
 from study.statistics.surfaces.surface_function import surface_functions
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.api.assemble import StudyResult
+    from study.api.assemble import Study
     from study.ground.arrays import Array
 
 # A material as the input of another program: ``study export --as abaqus`` and ``--as febio``.
@@ -373,10 +367,8 @@ def require(
     places = folders(source, data_root(source))
     fitted, predicted = (located(p, places) for p in (file.fitted, file.predicted))
     file = replace(file, fitted=fitted, predicted=predicted)
-    workers, tests = (
-        jobs or default_jobs(),
-        file.requirement.samples * len(file.requirement.multiples),
-    )
+    workers = jobs or default_jobs()
+    tests = file.requirement.samples * len(file.requirement.multiples)
     if progress is not None and tests:
         seconds = tests * SOLUTIONS_A_TEST * Costs().solve_seconds(fitted) / workers
         time = duration(seconds).replace(THIN, " ")
@@ -390,7 +382,7 @@ def require(
 
 
 def export_surface(
-    path: str | Path | StudyResult,
+    path: str | Path | Study,
     *,
     response: str | None = None,
     out: str | Path = REPORTS,
@@ -400,7 +392,7 @@ def export_surface(
 
     Parameters
     ----------
-    path : str, Path or StudyResult
+    path : str, Path or Study
         Results folder, design file, name of the study, or the study itself.
     response : str, optional
         One response alone.
@@ -558,6 +550,5 @@ def tracking(
 
 def _compared_stages(table: pd.DataFrame, practical: float | None, alpha: float) -> AnalysisResult:
     """Compare the means of visits between stages, within passes where there are any."""
-    blocks = Blocking(("pass",) if "pass" in table else ())
-    scale = ResponseScale(practical=threshold(practical))
-    return analyze(table, AnalysisRequest("distance", ("stage",), blocks, scale=scale, alpha=alpha))
+    block = "pass" if "pass" in table else None
+    return anova(table, "distance", ["stage"], block=block, practical=practical, alpha=alpha)

@@ -3,34 +3,23 @@
 from __future__ import annotations
 
 import copy
-import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from study.api.assemble import StudyResult, report_data
-from study.ground.errors import Fault, InputError, StudyError, nearest
+from study.api.assemble import Study
+from study.ground.errors import StudyError
 from study.harness.design.load import RESULTS, dump, finished_manifest, loads, results_folder
-from study.harness.design.spec import Analysis, Design, ResponseSpec
+from study.harness.design.spec import Analysis, Design
 from study.harness.runner import record_analysis
 from study.harness.runner.adaptive_cells import CONFIRMED, joined
-from study.harness.runner.expansion import cases_by_id, relabeled
+from study.harness.runner.expansion import Work, cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
 from study.harness.runner.record_analysis import unit_of
 from study.mechanics.measurement.conditioning import is_caution
 from study.record import document
 from study.record.record import Record
 from study.record.store import Store
-from study.reporting import content
-from study.reporting.content.analysis_content import contrasts
-from study.reporting.content.blocks import Sentence, Verbatim
-from study.reporting.content.comparison_content import conclusion_lines
-from study.reporting.content.report_facts import facts
-from study.reporting.content.sentences import would_change
-from study.reporting.content.text import THIN, case_counts
-from study.reporting.output.page import Shown
 from study.reporting.results.study_result import (
     FITTED_CURVE,
     OTHER_SPECIMEN,
@@ -39,120 +28,12 @@ from study.reporting.results.study_result import (
 )
 from study.simulation.job import held_out
 from study.simulation.plausibility import cautions_of
-from study.simulation.response import SCORED, response_unit
+from study.simulation.response import SCORED
 from study.statistics.analysis.analysis_request import threshold
 from study.statistics.analysis.comparisons import FamilyTest, holm_family
 from study.statistics.analysis.post_hoc import with_contrasts
-from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from study.statistics.surfaces.surface_fitting import SEE_SURFACE
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from study.harness.runner.expansion import Work
-    from study.reporting.content.blocks import Block
-    from study.reporting.figures.axes import Drawing
-    from study.reporting.results.study_result import ReportData
-    from study.statistics.analysis.analysis_request import AnovaOptions
-    from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.anova_table import Effect
-
-
-# A study as a notebook shows it: a frame, verdicts in HTML, a figure.
-
-
-@dataclass(frozen=True, repr=False)
-class Study(Shown, StudyResult):
-    """What :func:`study.run` and :func:`study.report` return: a study that can be shown."""
-
-    @cached_property
-    def _data(self) -> ReportData:
-        return report_data(self)
-
-    def analyzed(
-        self, response: str | None, factors: Sequence[str], options: AnovaOptions
-    ) -> AnalysisResult:
-        """Analyze one response, the first by default; what is not said is that of the design."""
-        by_name = {r.name: r for r in self.design.responses}
-        name = response or next(iter(by_name))
-        if not self.records:
-            raise InputError(f"{self.folder}: no case is computed yet")
-        names = list(self.records[0].responses)
-        if name not in names:
-            raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, names)))
-        declared = by_name.get(name) or ResponseSpec(name, unit=response_unit(name) or "")
-        return record_analysis.analyze_records(
-            self.design, self.records, declared, self.numerical, factors, options
-        )
-
-    @property
-    def answers(self) -> tuple[str, ...]:
-        """Sentences that answer the question, which cases fail, and what would change them."""
-        data, pattern = self._data, self._data.failure_pattern
-        all_facts = facts(data)
-        failures = () if pattern is None else content.tables.failure_sentences(pattern, data.labels)
-        change = f"What would change this? {would_change(data, all_facts)}"
-        lines = (*content.sentences.answer(data, all_facts), *failures, change)
-        return tuple(line.replace(THIN, " ") for line in lines)
-
-    @property
-    def effects(self) -> pd.DataFrame:
-        """Verdict of every response and factor with its effect, interval and p, one row each."""
-        import pandas as pd
-
-        return pd.DataFrame(self.verdicts)
-
-    def to_frame(self) -> pd.DataFrame:
-        """Table of the study, one tidy row a case, failed ones included."""
-        return self.table
-
-    def plot(self, response: str | None = None) -> Drawing:
-        """Draw the largest difference of every term with its interval against what matters."""
-        from study.reporting.figures.effect_figures import shown_effect_sizes
-
-        by_name = {item.name: item for item in facts(self._data)}
-        name = response or next(iter(by_name), "")
-        if name not in by_name:
-            rule = f"there is no response {name!r}"
-            raise InputError(Fault("response", rule, nearest(name, by_name)))
-        return shown_effect_sizes(by_name[name], self._data.labels)
-
-    def blocks(self) -> Iterator[Block | None]:
-        """Answer, verdicts and differences that the design asks for, then surfaces."""
-        yield Verbatim(f"\n{self.design.name}: {case_counts(self.cases)}")
-        try:
-            yield from list(self._verdicts())
-        except (KeyError, ValueError, TypeError, AttributeError) as error:
-            # the numbers are stored and the report is separate: a table must not end the run
-            yield Sentence(f"The verdict table could not be printed: {error}.")
-        for fitted in self.surfaces:
-            yield from content.surface_content.surface_blocks(fitted, self._data)
-        if self.beside is not None:
-            yield Verbatim("")
-            yield from map(Sentence, conclusion_lines(self.beside))
-        if self.report is not None:
-            yield Verbatim(f"\nreport: {self.report}")
-
-    def _verdicts(self) -> Iterator[Block]:
-        yield from map(Sentence, self.answers)
-        all_facts, labels = facts(self._data), self._data.labels
-        yield replace(content.tables.verdicts(all_facts, self._data), note="")
-        for item in all_facts:
-            for effect in item.effects:
-                if effect.verdict == NOT_RESOLVED or refused(effect):
-                    yield Sentence(content.effect_words.open_verdict(effect, item, labels))
-            if (table := contrasts(item)) is not None:
-                yield replace(table, name=f"{item.title}: asked for", note="")
-
-
-def refused(effect: Effect) -> bool:
-    """Whether the interval of a difference makes a claim that its verdict does not."""
-    ends = (effect.low, effect.high, effect.practical)
-    if effect.verdict != CANNOT_TELL or None in ends:
-        return False
-    low, high, practical = (math.log(x) if effect.is_ratio else x for x in ends if x is not None)
-    return bool(claim(low, high, practical))
 
 
 def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bool = True) -> Study:
@@ -226,15 +107,12 @@ def opened(folder: Path, ended: Work | None = None, *, tell_unfinished: bool = T
     comparisons = store.read_rows(
         "validation", document.ValidationRow, document.fault_of_comparisons
     )
-    spaces, steps = (
-        store.read_rows("spaces", document.SpaceRow),
-        store.read_rows("adaptive", document.AdaptiveStep),
-    )
     return Study(
         design, folder, records, len(manifest["cases"]), manifest,
-        analyses=analyses, numerical=numerical, warnings=tuple(dict.fromkeys(warnings)),
-        validation=tuple(comparisons),
-        spaces=tuple(spaces), surfaces=fitted, adaptive=tuple(steps),
+        analyses=analyses, numerical=numerical, validation=tuple(comparisons), surfaces=fitted,
+        spaces=tuple(store.read_rows("spaces", document.SpaceRow)),
+        adaptive=tuple(store.read_rows("adaptive", document.AdaptiveStep)),
+        warnings=tuple(dict.fromkeys(warnings)),  # with those of what was read just now
     )  # fmt: skip
 
 
@@ -265,9 +143,9 @@ def import_runs(
     ))  # fmt: skip
 
 
-def count_cases(study: Path | StudyResult) -> int:
+def count_cases(study: Path | Study) -> int:
     """Count the cases of a study before it is opened; 0 where none are known."""
-    if isinstance(study, StudyResult):
+    if isinstance(study, Study):
         return study.total
     manifest = Store(study).read_manifest()
     return 0 if manifest is None else len(manifest["cases"])

@@ -14,6 +14,7 @@ import numpy as np
 
 from study.api.predicting import (
     Permission,
+    Setting,
     fit_surface,
     given,
     opened,
@@ -35,7 +36,7 @@ from study.mechanics.calibration.serial_correlation import (
     trend,
 )
 from study.mechanics.measurement.written_units import contradicts, word_of_unit
-from study.record.record import is_same_run
+from study.record.record import Record, is_same_run
 from study.record.store import Store
 from study.reporting.results.study_answers import (
     Agreement,
@@ -62,10 +63,8 @@ from study.statistics.surfaces.surface_optimum import (
 )
 
 if TYPE_CHECKING:
-    from study.api.assemble import StudyResult
-    from study.api.predicting import Setting
+    from study.api.assemble import Study
     from study.ground.arrays import Array
-    from study.record.record import Record
     from study.statistics.surfaces.surface_fitting import Surface
     from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
@@ -75,7 +74,7 @@ _LIMIT = re.compile(r"\s*(?P<name>[^<>=]+?)\s*(?P<sign><=|>=)\s*(?P<value>[^<>=]
 
 
 def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
-    path: str | Path | StudyResult,
+    path: str | Path | Study,
     *,
     minimize: str | None = None,
     maximize: str | None = None,
@@ -95,7 +94,7 @@ def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing th
 
     Parameters
     ----------
-    path : str, Path or StudyResult
+    path : str, Path or Study
         Results folder, design file, name of the study, the study itself; or a CSV with one row a
         run.
     minimize, maximize : str
@@ -270,7 +269,7 @@ def _best(
 
 
 def _of_study(
-    study: StudyResult,
+    study: Study,
     goal: Goal,
     word: str,
     limits_typed: Sequence[str],
@@ -307,7 +306,7 @@ def _of_study(
 
 
 def _at(
-    study: StudyResult,
+    study: Study,
     question: Recommendation,
     fixed: Mapping[str, str],
     chosen: Sequence[str],
@@ -351,9 +350,7 @@ def _at(
     return replace(ranked[0], rivals=rivals, notes=(*ranked[0].notes, *notes))
 
 
-def _confirmed(
-    study: StudyResult, recommended: Recommendation, permission: Permission
-) -> Recommendation:
+def _confirmed(study: Study, recommended: Recommendation, permission: Permission) -> Recommendation:
     """Run the true model at a recommended setting."""
     records = permission.confirm(study, {**recommended.held, **recommended.settings})
     names = [recommended.response, *(bound.response for bound in recommended.bounds)]
@@ -390,7 +387,7 @@ _LARGE_ERROR = 0.15
 
 
 def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
-    path: str | Path | StudyResult,
+    path: str | Path | Study,
     to: str | Path,
     *,
     at: Mapping[str, Setting] | None = None,
@@ -409,7 +406,7 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
 
     Parameters
     ----------
-    path : str, Path or StudyResult
+    path : str, Path or Study
         Results folder, design file, name of the study, or the study itself.
     to : str or Path
         CSV of the measured curve, one row a point, displacements increasing.
@@ -469,9 +466,7 @@ def _share(within: str | None) -> float | None:
     return share
 
 
-def _known(
-    study: StudyResult, at: Mapping[str, Setting]
-) -> tuple[dict[str, float], dict[str, str]]:
+def _known(study: Study, at: Mapping[str, Setting]) -> tuple[dict[str, float], dict[str, str]]:
     """Read the inputs that are known, and check that something is asked for."""
     design = study.design
     if not design.ranges:
@@ -545,7 +540,7 @@ def _covered(curve: Curve, records: Sequence[Record], source: Path) -> tuple[Cur
 class _Inversion:
     """A measured curve, and the study whose inputs are to be found."""
 
-    study: StudyResult
+    study: Study
     #: Known inputs: ranges in their units, labels of the others.
     numbers: Mapping[str, float]
     labels: Mapping[str, str]

@@ -24,13 +24,16 @@ from study.simulation.fit_problem import NOTHING, Allowed
 from study.statistics.surfaces import surface_fitting
 from study.statistics.surfaces.emulator import LARGEST, expected_seconds
 from study.statistics.surfaces.surface_factors import some_runs
-from study.statistics.surfaces.surface_result import FittedSurface, SurfaceAnalysis
+from study.statistics.surfaces.surface_result import (
+    FittedSurface,
+    SurfaceAnalysis,
+    SurfacePrediction,
+)
 
 if TYPE_CHECKING:
-    from study.api.assemble import StudyResult
+    from study.api.assemble import Study
     from study.ground.arrays import Array
     from study.record.record import Record
-    from study.statistics.surfaces.surface_result import SurfacePrediction
 
 
 #: setting of a factor: with its unit, a number or numbers in the unit of the design, or a label
@@ -38,7 +41,7 @@ Setting = str | ArrayLike
 
 
 def predict(
-    path: str | Path | StudyResult,
+    path: str | Path | Study,
     at: Mapping[str, Setting],
     *,
     response: str | None = None,
@@ -48,7 +51,7 @@ def predict(
 
     Parameters
     ----------
-    path : str, Path or StudyResult
+    path : str, Path or Study
         Results folder, design file, name of the study, or the study itself.
     at : mapping
         Setting of every factor: ``"3 mm"``, numbers of shape (m,) in the unit of the design's
@@ -90,7 +93,7 @@ def predict(
     )
 
 
-def opened(path: str | Path | StudyResult, results: str | Path) -> StudyResult:
+def opened(path: str | Path | Study, results: str | Path) -> Study:
     """Study that a verb is asked about, whether by its place or by itself."""
     return api.load(path, results) if isinstance(path, str | Path) else path
 
@@ -120,7 +123,7 @@ def given(
     return {n: number_in_unit(n, span.unit, at[n]) for n, span in spans if n in at}, labels
 
 
-def surfaces_of(study: StudyResult, response: str | None = None) -> tuple[FittedSurface, ...]:
+def surfaces_of(study: Study, response: str | None = None) -> tuple[FittedSurface, ...]:
     """Surfaces of a study, of one response alone where it is named; refused where there is none."""
     if not study.surfaces:
         rule = "has no surface: no factor is a range"
@@ -161,9 +164,7 @@ class Permission:
     allowed: Allowed = NOTHING
     progress: Callable[[Progress], None] | None = None
 
-    def confirm(
-        self, study: StudyResult, settings: Mapping[str, float | str]
-    ) -> tuple[Record, ...]:
+    def confirm(self, study: Study, settings: Mapping[str, float | str]) -> tuple[Record, ...]:
         """Run the true model at a setting, and let the run join the study's surfaces."""
         root, progress = design_root(study.design, self.data), self.progress or (lambda _: None)
         return confirm(

@@ -16,7 +16,7 @@ from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.stability import check
 from study.mechanics.setup.setup import Problem, Tables
 from study.mechanics.solver.solution import Solution
-from study.reporting.content.blocks import Table, Verbatim
+from study.reporting.content.blocks import Block, Table, Verbatim
 from study.reporting.figures.axes import shown
 from study.reporting.output.page import Shown
 from study.simulation import plausibility
@@ -24,7 +24,6 @@ from study.simulation import plausibility
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.reporting.content.blocks import Block
     from study.reporting.figures.axes import Drawing
 
 

@@ -10,17 +10,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.assemble import StudyResult, report_data
+from study.api.assemble import Study, report_data
 from study.api.comparison import compare
-from study.api.opened_study import Study, count_cases, opened
+from study.api.opened_study import count_cases, opened
 from study.api.opened_study import load as load_study
 from study.api.predicting import Permission
-from study.execution.local import Worker, uncollected
-from study.execution.supervisor import check_limit
+from study.execution.local import Executor, Worker, check_limit, uncollected
 from study.external.command import Function, PythonFunction, check_allowed
 from study.ground.atomic_files import own_folder
 from study.ground.errors import (
@@ -45,6 +43,7 @@ from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import continued, run_adaptive
 from study.harness.runner.batch import (
     WARN,
+    Progress,
     check_choice,
     check_stale,
     in_phase,
@@ -53,7 +52,7 @@ from study.harness.runner.batch import (
     noted_progress,
     run_batch,
 )
-from study.harness.runner.expansion import expand
+from study.harness.runner.expansion import Work, expand
 from study.harness.runner.record_analysis import effects_by_depth
 from study.harness.runner.study_refinement import compare_spaces, validate
 from study.harness.runner.study_refinement import refine as refine_study
@@ -65,15 +64,8 @@ from study.reporting.output.page import DETAILS
 from study.reporting.output.write import Difference, Verification, checked_formats, main_file, write
 from study.simulation.fit_problem import Allowed, externals, placed_files
 from study.simulation.provenance import versions
-from study.simulation.tasks import computing_on, default_jobs, memory_of, processes
+from study.simulation.tasks import Engine, computing_on, default_jobs, memory_of, processes
 from study.simulation.virtual_specimens import usual_generator, write_virtual
-
-if TYPE_CHECKING:
-    from study.execution.supervisor import Executor
-    from study.harness.runner.batch import Progress
-    from study.harness.runner.expansion import Work
-    from study.simulation.tasks import Engine
-
 
 #: cases from which on a second process draws a part of the figures
 MANY_CASES = 200
@@ -294,7 +286,7 @@ def _finish(store: Store, work: Work, timings: Mapping[str, float], computed: in
 
 
 def report(
-    path: str | Path | StudyResult,
+    path: str | Path | Study,
     *,
     reports: str | Path | None = REPORTS,
     results: str | Path = RESULTS,
@@ -309,7 +301,7 @@ def report(
 
     Parameters
     ----------
-    path : str, Path or StudyResult
+    path : str, Path or Study
         Results folder, design file, name of the study, or the study itself.
     reports : Path, optional
         Where the report goes; None writes none.
@@ -337,16 +329,12 @@ def report(
     if formats:
         checked_formats(formats)
     clock = began or _Clock()
-    study_before = path if isinstance(path, StudyResult) else results_folder(path, results)
-    many = reports is not None and count_cases(study_before) >= MANY_CASES
+    before = path if isinstance(path, Study) else results_folder(path, results)
+    many = reports is not None and count_cases(before) >= MANY_CASES
     drawing = many and default_jobs() > 1
     with Worker(load_libraries) if drawing else nullcontext() as worker:
         with uncollected():
-            study = (
-                Study.of(study_before)
-                if isinstance(study_before, StudyResult)
-                else opened(study_before, clock.work)
-            )
+            study = before if isinstance(before, Study) else opened(before, clock.work)
         if beside is not None:
             study = replace(study, beside=compare(study, load_study(beside, results)))
         study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))
@@ -370,7 +358,7 @@ def report(
 
 
 def _written(
-    study: StudyResult,
+    study: Study,
     timings: Mapping[str, float],
     folder: Path,
     formats: Sequence[str],

@@ -21,7 +21,7 @@ from study.reporting.content.text import THIN, duration
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
-    from study.api.assemble import StudyResult
+    from study.api.assemble import Study
     from study.api.planning import Plan
     from study.harness.runner.batch import Progress
 
@@ -246,7 +246,7 @@ def after_plan(planned: Plan, design: Path, options: Options) -> tuple[str, str]
     )
 
 
-def after_run(study: StudyResult, options: Options) -> tuple[str, str]:
+def after_run(study: Study, options: Options) -> tuple[str, str]:
     """Say what to do after a run or a report, and the command."""
     folders = _folders(options)
     failed = [record.case_id for record in study.records if not record.converged]

@@ -32,7 +32,7 @@ from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
     from study.api.analyzing import MixedOptions
-    from study.api.contrast_power import ContrastDetection, Power
+    from study.api.planning import ContrastDetection, Power
     from study.api.predicting import Permission
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult

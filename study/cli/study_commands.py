@@ -20,8 +20,8 @@ from study.reporting.content.text import case_counts, count, general
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
+    from study.api.assemble import Study as OpenedStudy
     from study.api.comparison import CaseState
-    from study.api.opened_study import Study as OpenedStudy
     from study.api.planning import Plan
     from study.harness.design.overview import Augmentation, CellOverview, Overview
 

@@ -25,12 +25,12 @@ from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Protocol
 
-from study.execution.local import Process
-from study.execution.supervisor import (
+from study.execution.local import (
     Answer,
     Done,
     Outcome,
     Perform,
+    Process,
     ReadyQueue,
     Results,
     Supervisor,

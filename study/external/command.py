@@ -28,22 +28,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.external.answers import (
-    NoAnswer,
-    checked_curve,
-    curve_of,
-    quantity_in,
-    rendered,
-    values_of_files,
-)
-from study.external.exchange import (
     CASE_FILE,
     DISPLACEMENT,
     FORCE,
     GRADIENT,
     PROBLEM_FILE,
+    NoAnswer,
     PredictedCurve,
     at_points,
+    checked_curve,
     curve_answered,
+    curve_of,
+    quantity_in,
+    rendered,
+    values_of_files,
 )
 from study.external.forward_model import ForwardCell, ForwardFiles, ForwardModel, target_and_source
 from study.ground.arrays import Array

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.external.answers import NoAnswer
+from study.external.answers import NoAnswer, PredictedCurve
 from study.external.command import External
-from study.external.exchange import PredictedCurve
 from study.ground.arrays import Array, Flags
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, nearest
@@ -36,7 +35,7 @@ from study.record.document import (
 from study.record.record import STATUSES, Record
 from study.simulation import response
 from study.simulation.cell import CellProblem
-from study.simulation.fit_summary import (
+from study.simulation.fit_problem import (
     external_curve,
     external_of,
     judged_where_simulated,
@@ -412,13 +411,9 @@ def _solver(predictions: Sequence[PredictedCurve]) -> SolverDocument:
     """Facts of the last direction's solver, with the worst energy balance of all directions."""
     every = [prediction.solver for prediction in predictions]
     facts: SolverDocument = {**every[-1]}
-    mismatch = [each["energy_mismatch"] for each in every if "energy_mismatch" in each]
-    if mismatch:
-        facts["energy_mismatch"] = max(mismatch)
-    shares = [each["stabilization_share"] for each in every if "stabilization_share" in each]
-    if shares:
-        facts["stabilization_share"] = max(shares)
-    if "snaps_mm" in facts:
+    if "snaps_mm" in facts:  # of our own solver
+        facts["energy_mismatch"] = max(each.get("energy_mismatch", 0.0) for each in every)
+        facts["stabilization_share"] = max(each.get("stabilization_share", 0.0) for each in every)
         facts["snaps_mm"] = sorted({snap for each in every for snap in each.get("snaps_mm", ())})
     return facts
 

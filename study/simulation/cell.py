@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,6 +29,11 @@ from study.mechanics.setup.test_kind import Test
 # Names made of content: the hash of plain values with one spelling.
 
 ID_LENGTH = 16
+
+
+def folder_name(text: str, otherwise: str) -> str:
+    """Name of a folder from any text."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-")[:80] or otherwise
 
 
 def case_id(content: object) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.external.exchange import PredictedCurve
+from study.external.answers import PredictedCurve
 from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.curve import Curve, spline_from_origin
@@ -24,7 +24,7 @@ from study.mechanics.material.material import ENERGIES, is_dimensionless
 from study.mechanics.setup.material_section import MaterialSection
 from study.record.document import FitDocument
 from study.simulation.cell import CellProblem
-from study.simulation.fit_summary import (
+from study.simulation.fit_problem import (
     FitResult,
     InverseExternal,
     described,
@@ -70,7 +70,7 @@ def fitted(job: FitJob) -> FitResult:
     start = job.begun
     if start is not None and not start.converged:  # it cannot be fitted alone
         why = f"the fit that starts it did not converge: {start.message}"
-        return FitResult.without_answer(start.status, why)
+        return FitResult(start.status, {"message": why})
     parts = parts_of(job)
     names, first = start_values(
         parts[0].problem, job.measured, None if start is None else start.constants
@@ -461,7 +461,7 @@ def refitted(job: FitJob) -> FitResult:
     base, measured = job.begun, job.measured
     if not base.converged:
         why = f"the fit to the measured curve did not converge: {base.message}"
-        return FitResult.without_answer(base.status, why)
+        return FitResult(base.status, {"message": why})
     names = tuple(base.fit["names"])
     start = np.array([base.constants[name] for name in names])
     models = models_of(parts_of(job), names)

@@ -15,12 +15,7 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.forward.finite_element import Anchor
 from study.mechanics.measurement.conditioning import is_caution
-from study.mechanics.measurement.measured_test import (
-    MeasuredTest,
-    Measurements,
-    Selection,
-    checked,
-)
+from study.mechanics.measurement.measured_test import MeasuredTest, Measurements, Selection, checked
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.measurement.recording import Gauge, Recordings, read_recordings
@@ -29,13 +24,7 @@ from study.mechanics.setup.setup import Setup
 from study.record.document import ResponseDocument
 from study.record.record import Record
 from study.simulation.cell import Case, Cell, CellProblem, Config, case_id, tested
-from study.simulation.fit_problem import (
-    FitProblem,
-    fit_key,
-    start_problem,
-    together,
-)
-from study.simulation.fit_summary import FitResult
+from study.simulation.fit_problem import FitProblem, FitResult, fit_key, start_problem, together
 from study.simulation.provenance import versions
 
 # A case as it goes to a worker: what is known of its record, its problem, its fits.

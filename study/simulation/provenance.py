@@ -16,11 +16,7 @@ from study.ground.atomic_files import write_atomic
 from study.ground.errors import StoreError
 
 #: Modules that do the tasks of a worker; what they import decides the numbers.
-_TASKS = (
-    "study.simulation.case",
-    "study.simulation.fit_task",
-    "study.simulation.solve_task",
-)
+_TASKS = ("study.simulation.case", "study.simulation.fit_task", "study.simulation.solve_task")
 
 #: Rooms and modules in which imports are followed; reports and statistics may change without a
 #: new run.

@@ -3,7 +3,7 @@
 A series says which computations are due and takes what they gave, until it has enough; the loop
 does what is due of all series at once. A problem asks for one mesh after the other, as long as
 its accuracy and its budget want; the cells of a study know all their meshes from the start (see
-:mod:`study.harness.runner.case_series`).
+:mod:`study.harness.runner.study_refinement`).
 """
 
 from __future__ import annotations
@@ -345,11 +345,7 @@ def judged_meshes(
 
 
 def series_sizes(
-    sizes: Sequence[float],
-    elements: Sequence[int],
-    setup: Setup,
-    *,
-    anchor: int = -1,
+    sizes: Sequence[float], elements: Sequence[int], setup: Setup, *, anchor: int = -1
 ) -> list[float]:
     """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
     pressed = setup.test.indenter
@@ -614,20 +610,9 @@ def inconclusive(
     """Make the result of a series, coarse to fine, with too few meshes for an order."""
     usual = f"an order needs three meshes with an answer, there are {len(values)}"
     return ConvergenceResult(
-        qoi=qoi,
-        unit=unit,
-        mesh_size=tuple(reversed(sizes)),
-        value=tuple(reversed(values)),
-        behaviour="inconclusive",
-        observed_order=None,
-        formal_order=formal_order,
-        extrapolated=None,
-        gci_fine=None,
-        factor_of_safety=None,
-        u_num=u_num,
-        asymptotic_ratio=None,
-        verdict=verdict or usual,
-    )
+        qoi, unit, tuple(reversed(sizes)), tuple(reversed(values)), "inconclusive",
+        formal_order=formal_order, u_num=u_num, verdict=verdict or usual,
+    )  # fmt: skip
 
 
 # What each mesh costs, of cells that differ in nothing but their discretization.

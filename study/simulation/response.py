@@ -206,11 +206,7 @@ def averaged(scores: Sequence[Mapping[str, ResponseDocument]]) -> dict[str, Resp
 
 
 def step_uncertainty(
-    predicted: Curve,
-    measured: Curve | None,
-    names: Iterable[str] = (),
-    *,
-    is_splined: bool = False,
+    predicted: Curve, measured: Curve | None, names: Iterable[str] = (), *, is_splined: bool = False
 ) -> dict[str, float]:
     """Change of every response where the curve keeps every other load step only.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from study.execution.supervisor import Executor, Results, Task
+from study.execution.local import Executor, Results, Task
 from study.external.command import External
 from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
@@ -20,7 +19,7 @@ from study.ground.errors import InputError
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.forward.finite_element import load_compiled
 from study.record.store import Store
-from study.simulation.cell import CellProblem
+from study.simulation.cell import CellProblem, folder_name
 from study.simulation.provenance import code_version
 
 if TYPE_CHECKING:
@@ -174,7 +173,7 @@ def _options(task: SolveTask) -> Options | None:
 
 
 def peak_MB() -> float:  # noqa: N802
-    """Peak memory of this process in MB since :func:`reset_peak`."""
+    """Peak memory of this process in MB since it was reset."""
     with contextlib.suppress(OSError), open("/proc/self/status") as stream:
         for line in stream:
             if line.startswith("VmHWM:"):
@@ -232,9 +231,4 @@ def kept(solve: Solver, store: Store) -> Solver:
 
 def store_of(results: Path, name: str) -> Store:
     """Store of a problem or a design by its name."""
-    return Store(own_folder(results, slug(name)))
-
-
-def slug(name: str) -> str:
-    """Name of a folder from any name."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:80] or "problem"
+    return Store(own_folder(results, folder_name(name, "problem")))

@@ -24,7 +24,7 @@ from study.ground.atomic_files import write_atomic
 from study.ground.bounded_file import read_json
 from study.ground.curve import Curve
 from study.ground.errors import StoreError
-from study.mechanics.calibration.fit import ResidualFunction, fit
+from study.mechanics.calibration.fit import Fit, ResidualFunction, fit
 from study.mechanics.calibration.levenberg_marquardt import Iteration, Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import ENERGIES, constant_names, is_dimensionless
@@ -35,7 +35,6 @@ from study.simulation.cell import CellProblem
 from study.simulation.fit_problem import FitPart as FitPart
 
 if TYPE_CHECKING:
-    from study.mechanics.calibration.fit import Fit
     from study.mechanics.material.energy import Energy
 
 
@@ -64,9 +63,7 @@ class Start:
 
 
 def gentler(
-    names: Sequence[str],
-    start: Array,
-    bounds: Sequence[tuple[float, float]] | None = None,
+    names: Sequence[str], start: Array, bounds: Sequence[tuple[float, float]] | None = None
 ) -> list[Start]:
     """List a start (p,), MPa, and what may be tried after it, each one once."""
     starts = [Start(np.array(start, float))]

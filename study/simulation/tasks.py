@@ -6,7 +6,6 @@ import contextlib
 import importlib
 import os
 import platform
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,8 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from study.execution.cluster import Client, Cluster
-from study.execution.local import Loky, free_memory_MB
-from study.execution.supervisor import Document, Executor, Perform, Task
+from study.execution.local import Document, Executor, Loky, Perform, Task, free_memory_MB
 from study.external.command import External
 from study.external.forward_model import FUNCTION_SECONDS, ForwardCell
 from study.ground.canonical import digest
@@ -24,8 +22,7 @@ from study.ground.errors import Fault, InputError, UnitError
 from study.ground.units import parse
 from study.simulation import case, fit_task, solve_task
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import FitPart, FitProblem
-from study.simulation.fit_summary import USUAL_EVALUATIONS
+from study.simulation.fit_problem import USUAL_EVALUATIONS, FitPart, FitProblem
 from study.simulation.job import CaseJob, FitJob
 from study.simulation.provenance import versions
 
@@ -122,10 +119,7 @@ _SYSTEM_LIBRARIES = (
 def examine() -> dict[str, Any]:
     """Try every part of the installation."""
     tries: dict[str, Callable[[], tuple[str, str]]] = {
-        "python": lambda: (
-            "pass" if sys.version_info >= (3, 11) else "fail",
-            platform.python_version(),
-        ),
+        "python": lambda: ("pass", platform.python_version()),
         **{name: partial(_imported, name) for name in (*_NEEDED, "gmsh")},
         "pypardiso": _pardiso,
         "a solved compression": solve_task.known_compression,

@@ -34,8 +34,7 @@ from study.simulation.cell import CellProblem, Treatment
 from study.simulation.fit_problem import folders, located
 from study.simulation.job import TRUTH_SUFFIX
 from study.simulation.plausibility import half_width
-from study.simulation.problem_file import Virtual
-from study.simulation.resolve import Identification
+from study.simulation.problem_file import Identification, Virtual
 from study.simulation.solve_task import SolveTask, by_workers
 from study.simulation.tasks import processes
 

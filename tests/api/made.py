@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
-from study.api.assemble import StudyResult
+from study.api.assemble import Study
 from study.harness.design.load import loads
 from study.reporting.results.study_result import ResponseAnalysis
 from study.statistics.analysis.anova import anova
@@ -67,4 +67,4 @@ def made(
              "versions": {"study": "1"}}  # fmt: skip
     text = DESIGN.replace('"small"', f'"{name}"', 1).replace('"30 mm"', f'"{height}"')
     design = loads(text.replace('"0.5 pp"', f'"{practical}"'), name)
-    return StudyResult(design, folder / name, (), 36, known | manifest, analyses=(analysis,))
+    return Study(design, folder / name, (), 36, known | manifest, analyses=(analysis,))

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
 
-from study.execution.supervisor import Task
+from study.execution.local import Task
 from tests.execution.loopback import ROOT
 from tests.waiting import CAP_S
 
@@ -71,7 +71,7 @@ LEFT = """
 import signal, sys
 from study.execution.cluster import Cluster
 from study.execution.local import Loky
-from study.execution.supervisor import Task
+from study.execution.local import Task
 from tests.execution.misbehaving import perform
 tasks = [Task(k, lambda _: {"kind": "process"}) for k in "ab"]
 tasks += [Task(k, lambda _: {"kind": "hang"}) for k in "cd"]

@@ -12,9 +12,9 @@ from threading import Timer
 
 import pytest
 
+from study.execution import local
 from study.execution.cluster import Cluster
-from study.execution.local import Loky, Worker
-from study.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, Task, longest_first
+from study.execution.local import Answer, Inline, Loky, ReadyQueue, Supervisor, Task, Worker
 from study.ground.errors import InputError
 from tests.execution.loopback import ROOT, children
 from tests.execution.misbehaving import line_of, never_up, perform, study_left, task
@@ -117,7 +117,7 @@ def test_the_limit_holds_whatever_a_worker_does(make):
 def test_a_worker_that_never_comes_up_is_given_up(monkeypatch):
     """No limit was asked for: only the start of a process has one of its own."""
     monkeypatch.setattr("study.execution.local.serve_quietly", never_up)
-    monkeypatch.setattr("study.execution.supervisor.START_LIMIT_S", 1.0)
+    monkeypatch.setattr("study.execution.local.START_LIMIT_S", 1.0)
     found = run([task("a"), task("b")])
     assert {o.status for o in found.values()} == {"crashed"}
     assert "no worker was up within 1 s, twice" in found["a"].message
@@ -216,7 +216,14 @@ def test_the_longest_comes_first_and_what_others_wait_for_before_them():
         Task("g1", nothing, group="g", seconds=2.5),
         Task("g2", nothing, group="g", seconds=2),
     ]
-    assert [t.key for t in longest_first(tasks)] == ["fit", "g1", "long", "case", "g2", "short"]
+    assert [t.key for t in local.longest_first(tasks)] == [
+        "fit",
+        "g1",
+        "long",
+        "case",
+        "g2",
+        "short",
+    ]
     ready = ReadyQueue(tasks, {})
     assert [t.key for _ in range(4) if (t := ready.take(""))] == ["fit", "g1", "long", "g2"]
 

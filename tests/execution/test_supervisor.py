@@ -2,7 +2,7 @@
 
 import pytest
 
-from study.execution.supervisor import Answer, ReadyQueue, Supervisor, Task
+from study.execution.local import Answer, ReadyQueue, Supervisor, Task
 
 
 class Liar:

@@ -21,11 +21,10 @@ import pytest
 
 from study import api
 from study.api.opened_study import load as open_study
-from study.external import answers, command, exchange
+from study.external import answers, command
 from study.external.answers import NoAnswer, values_of_files
 from study.external.command import External
-from study.external.forward_model import ForwardFiles, ForwardModel, ValueFile
-from study.external.parameters import ParameterProblem
+from study.external.forward_model import ForwardFiles, ForwardModel, ParameterProblem, ValueFile
 from study.ground.curve import Curve
 from study.ground.errors import InputError, RefusedError
 from study.simulation.cell import Cell, CellProblem
@@ -47,9 +46,9 @@ def commands(argv, contents, **more):
 def solve_by_command(made, given, points):
     """Curve of a program that exchanges problem.json and curve.csv, and the report of its run."""
     written = json.dumps(request(given, points), indent=1)
-    contents = {**made.contents, exchange.PROBLEM_FILE: written}
+    contents = {**made.contents, answers.PROBLEM_FILE: written}
     answer = command.run_commands(
-        made.section, contents, lambda folder, said: exchange.curve_answered(folder, points)
+        made.section, contents, lambda folder, said: answers.curve_answered(folder, points)
     )
     return answer, answer.solver["program"]
 
@@ -194,10 +193,10 @@ HEAD = "displacement_mm,force_N\n"
     ids=lambda text: text[:40],
 )
 def test_what_a_file_of_an_answer_has_wrong_is_a_status(tmp_path, curve, facts, status, said):
-    (tmp_path / exchange.CURVE_FILE).write_text(curve)
-    (tmp_path / exchange.FACTS_FILE).write_text(facts)
+    (tmp_path / answers.CURVE_FILE).write_text(curve)
+    (tmp_path / answers.FACTS_FILE).write_text(facts)
     with pytest.raises(NoAnswer, match=re.escape(said)) as caught:
-        exchange.curve_answered(tmp_path, POINTS)
+        answers.curve_answered(tmp_path, POINTS)
     assert caught.value.status == status
 
 
@@ -487,7 +486,7 @@ def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
 
 
 def test_the_curve_of_a_coarse_program_is_a_spline_through_its_steps():
-    found = exchange.at_points(
+    found = answers.at_points(
         {"displacement_mm": np.array([1.0, 2.0, 3.0]), "force_N": np.array([1.0, 8.0, 27.0])},
         np.array([0.5, 2.5, 3.0]),
     )
@@ -502,7 +501,7 @@ def test_a_folder_is_kept_whatever_its_names_and_depth(tmp_path):
         "open('deep.txt', 'w').write('deep')\n"
     )
     made = commands((("python", "make.py"),), {"make.py": code}, keep="all")
-    kept = command.run_commands(made.section, made.contents, lambda *_: exchange.PredictedCurve())
+    kept = command.run_commands(made.section, made.contents, lambda *_: answers.PredictedCurve())
     names = zipfile.ZipFile(io.BytesIO(kept.folder)).namelist()
     assert {"make.py", "odd-?.txt"} <= set(names)
     assert [name for name in names if name.endswith("d/deep.txt")]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from study.execution.supervisor import Answer, Inline
+from study.execution.local import Answer, Inline
 from study.harness.design.load import loads
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material

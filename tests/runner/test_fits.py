@@ -13,8 +13,7 @@ from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Cylinder
 from study.simulation import fit_task
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import fit_key, fit_problem
-from study.simulation.fit_summary import FitResult
+from study.simulation.fit_problem import FitResult, fit_key, fit_problem
 from study.simulation.fit_task import fitted
 from study.simulation.job import FitJob
 

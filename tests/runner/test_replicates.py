@@ -18,8 +18,7 @@ from study.record.record import table
 from study.record.store import Store
 from study.simulation import fit_task
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import fit_problem
-from study.simulation.fit_summary import FitResult
+from study.simulation.fit_problem import FitResult, fit_problem
 from study.simulation.job import FitJob
 from study.simulation.tasks import Costs
 
@@ -210,7 +209,7 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more():
 
 def test_a_fit_that_failed_is_not_resampled():
     problem, measured, _ = fitted("neo-hookean", None, seed=1)
-    failed = FitResult.without_answer("not-converged", "too stiff")
+    failed = FitResult("not-converged", {"message": "too stiff"})
     task = FitJob(problem, (measured,), failed, (2011, 1))
     found = fit_task.refitted(task)
     assert found.status == "not-converged"

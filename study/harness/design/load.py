@@ -14,8 +14,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from study.external.forward_model import ValueFile
-from study.external.parameters import check_names, checked, overridden, stands_alone
+from study.external.forward_model import ValueFile, check_names, checked, overridden, stands_alone
 from study.ground import diagnostics
 from study.ground.contrast import sides_of
 from study.ground.declaration import table_of
@@ -31,7 +30,18 @@ from study.ground.diagnostics import (
     read_table,
 )
 from study.ground.errors import Fault, InputError, nearest
-from study.harness.design.factors import (
+from study.harness.design.layouts import scheme_from
+from study.harness.design.questions import (
+    analysis_from,
+    expected_from,
+    responses_from,
+    uncertainty_from,
+)
+from study.harness.design.spec import (
+    RESPONSES_MEND,
+    Design,
+    DesignFile,
+    Level,
     Presets,
     exclusions_from,
     factors_from,
@@ -39,14 +49,6 @@ from study.harness.design.factors import (
     presets_from,
     set_whole,
 )
-from study.harness.design.layout_kinds import scheme_from
-from study.harness.design.questions import (
-    analysis_from,
-    expected_from,
-    responses_from,
-    uncertainty_from,
-)
-from study.harness.design.spec import RESPONSES_MEND, Design, DesignFile, Level
 from study.record.document import ManifestDocument
 from study.record.store import Store
 from study.simulation import overlay, plausibility
@@ -55,11 +57,9 @@ from study.simulation.fit_problem import data_root, folders, located
 from study.simulation.problem_file import (
     CalibrationDesign,
     CalibrationFile,
+    LoadedProblem,
     ProblemFile,
     default_name,
-)
-from study.simulation.resolve import (
-    LoadedProblem,
     identification_from,
     resolve_calibration,
     resolve_problem,

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from study.ground.arrays import gathered
 from study.ground.canonical import Keyed
@@ -13,7 +14,8 @@ from study.ground.declaration import Bad, table_of
 from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.harness.design.generators import d_optimal, efficiency
-from study.harness.design.layout_kinds import words_of
+from study.harness.design.layouts import words_of
+from study.harness.design.load import load_design
 from study.harness.design.spec import Design, Factor
 from study.simulation.cell import Cell, Combination, Treatment
 from study.simulation.plausibility import cautions_of
@@ -283,13 +285,15 @@ class Augmentation(Keyed):
         return "\n".join(["[design]", 'kind = "listed"', "treatments = [", *lines, "]"])
 
 
-def further_cells(loaded: Design, cells: int, terms: int | Sequence[str]) -> Augmentation:
+def augment(
+    design: Design | str | Path, cells: int, *, terms: int | Sequence[str] = 2
+) -> Augmentation:
     """Choose further cells of a fraction by D-optimality, for terms such as ``"a:b"`` or an order.
 
     A design that runs every combination or samples ranges has none, and is refused.
     """
-    rows = loaded.scheme.rows
-    factors = loaded.factors
+    loaded = load_design(design)
+    rows, factors = loaded.scheme.rows, loaded.factors
     sizes = [len(factor.levels) for factor in factors]
     every = math.prod(sizes)
     if rows is None or loaded.scheme.kind == "full":

@@ -10,8 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
-from study.external.forward_model import TAKEN
-from study.external.parameters import number_in
+from study.external.forward_model import TAKEN, number_in
 from study.ground import units
 from study.ground.contrast import Expected, Threshold
 from study.ground.declaration import (
@@ -39,10 +38,9 @@ from study.ground.diagnostics import (
 )
 from study.ground.errors import UnitError, nearest
 from study.ground.tabular import NUMBER
-from study.harness.design.factors import grouped
 from study.harness.design.generators import model_columns
-from study.harness.design.layout_kinds import word_of, words_of
-from study.harness.design.spec import Analysis, Factor, ResponseSpec, Scheme, Terms
+from study.harness.design.layouts import word_of, words_of
+from study.harness.design.spec import Analysis, Factor, ResponseSpec, Scheme, Terms, grouped
 from study.simulation import overlay
 from study.simulation.response import (
     AT_DISPLACEMENT,

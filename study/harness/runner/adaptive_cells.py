@@ -17,12 +17,10 @@ from study.ground.atomic_files import ID
 from study.ground.canonical import digest
 from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
-from study.harness.design.factors import levels_at
-from study.harness.design.layout_kinds import share_of
+from study.harness.design.layouts import share_of
 from study.harness.design.load import dump, loads
-from study.harness.design.spec import Design, ResponseSpec, Sequential
+from study.harness.design.spec import Design, ResponseSpec, Sequential, levels_at
 from study.harness.runner.batch import Progress, run_batch
-from study.harness.runner.case_series import COSTS
 from study.harness.runner.expansion import Work, expand, relabeled
 from study.harness.runner.record_analysis import (
     at_levels,
@@ -31,6 +29,7 @@ from study.harness.runner.record_analysis import (
     makers_of_runs,
     runs_of_records,
 )
+from study.harness.runner.study_refinement import COSTS
 from study.record.document import AdaptiveStep, ConfirmedRow, are_imported
 from study.record.record import Record, is_same_run
 from study.record.store import Store

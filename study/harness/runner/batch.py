@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-from study.execution.supervisor import Document, Executor, Outcome, Results, Task
+from study.execution.local import Document, Executor, Outcome, Results, Task
 from study.external.command import check_allowed
 from study.ground.bounded_file import read_json
 from study.ground.canonical import digest
@@ -32,8 +32,7 @@ from study.record.document import ManifestDocument, RetryDocument
 from study.record.record import Record
 from study.record.store import Store
 from study.simulation.cell import CellProblem, tested
-from study.simulation.fit_problem import externals
-from study.simulation.fit_summary import FitResult
+from study.simulation.fit_problem import FitResult, externals
 from study.simulation.job import TRUTH_SUFFIX, CaseJob, FitJob, fits_of
 from study.simulation.provenance import versions
 from study.simulation.refinement import base_size_mm

@@ -132,11 +132,6 @@ def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
     return tuple(_again(job, design.seed, number) for job in jobs for number in numbers)
 
 
-def refitted(case: Case, number: int) -> Case:
-    """Copy a case whose fits see resampled noise."""
-    return repeated(case, ["noise", number])
-
-
 def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
     directions = tuple(
         (pair if pair.fit is None else replace(pair, fit=pair.fit.resampled(seed, number)))
@@ -145,7 +140,7 @@ def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
     keys = {pair.fit_key for pair in directions} - {None}
     return replace(
         job,
-        case=refitted(job.case, number),
+        case=repeated(job.case, ["noise", number]),
         directions=directions,
         input_hash=digest([job.input_hash, "noise", seed, number, sorted(map(str, keys))]),
         origin=replace(job.origin, noise_seed=number),
@@ -187,7 +182,7 @@ def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
     """List every case that :func:`expand` makes of a design; nothing measured is read."""
     every_case = [case for case, _ in planned(design, blocks)]
     numbers = range(1, design.replicates.noise + 1)
-    again = [refitted(case, number) for case in every_case for number in numbers]
+    again = [repeated(case, ["noise", number]) for case in every_case for number in numbers]
     return {case.case_id: case for case in (*every_case, *again)}
 
 

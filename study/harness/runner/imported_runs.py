@@ -9,17 +9,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from study.external.forward_model import TAKEN
-from study.external.parameters import is_parameter
+from study.external.forward_model import TAKEN, is_parameter
 from study.ground.arrays import gathered
 from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
 from study.ground.units import agree, is_known, listed, unit_of_column
-from study.harness.design.factors import level_label
 from study.harness.design.load import dump, from_tables, loads
-from study.harness.design.spec import Design, cases
+from study.harness.design.spec import Design, cases, level_label
 from study.harness.runner.expansion import seeded
 from study.record.document import MADE_ELSEWHERE, ManifestDocument, are_imported
 from study.record.record import STATUSES, Record

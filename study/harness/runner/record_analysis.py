@@ -25,17 +25,18 @@ from study.harness.design.load import is_constant
 from study.harness.design.overview import SAMPLED
 from study.harness.design.questions import usual_value
 from study.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.record.record import answered_often, is_repeat, is_same_run, table
+from study.record.record import Record, answered_often, is_repeat, is_same_run, table
 from study.simulation import overlay
 from study.simulation.response import CURVE_RESPONSES
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
+    AnovaOptions,
     Blocking,
     ResponseScale,
     threshold,
 )
 from study.statistics.analysis.anova import analyze, effects
-from study.statistics.analysis.anova_table import DepthEffect
+from study.statistics.analysis.anova_table import DepthEffect, Effect
 from study.statistics.analysis.failures import CaseFate, cause
 from study.statistics.analysis.linear_model import Model, terms_of
 from study.statistics.analysis.repeats import common_seeds
@@ -50,12 +51,9 @@ if TYPE_CHECKING:
 
     from study.ground.arrays import Array
     from study.harness.design.spec import Design, Factor, ResponseSpec
-    from study.record.record import Record
     from study.record.store import Store
     from study.simulation.cell import Treatment
-    from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.anova_table import Effect
 
 
 def analyze_records(
@@ -420,7 +418,11 @@ def surfaces(
     units_of = {name: span.unit for name, span in design.ranges.items()}
     surfaces_fitted: list[FittedSurface] = []
     for response in design.responses:
-        half_width = _half_width(response.name, records, numerical)
+        # of a run: of its mesh where one was refined, and of its load steps
+        meshes = [row.u_num for row in numerical
+                  if row.response == response.name and row.u_num is not None]  # fmt: skip
+        steps = u_of_steps(records, response.name, "none")
+        half_width = max(meshes) + steps if meshes else None
         makers, lost, ends = makers_of_runs(design, response.name, originals, half_width)
         # each of two settings may be off by its own bound
         bound = None if half_width is None else 2.0 * half_width
@@ -457,16 +459,6 @@ def makers_of_runs(
     good = [[r for r in some if r.value(response) is not None] for some in here]
     lost = [len(some) - len(answered) for some, answered in zip(here, good, strict=True)]
     return [partial(runs_of_records, response, r, half_width, factors) for r in good], lost, ends
-
-
-def _half_width(
-    response: str, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
-) -> float | None:
-    """Largest half-width of a run: of its mesh where one was refined, and of its load steps."""
-    meshes = [row.u_num for row in numerical if row.response == response and row.u_num is not None]
-    if not meshes:
-        return None
-    return max(meshes) + u_of_steps(records, response, "none")
 
 
 def _finished(
@@ -558,14 +550,11 @@ def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[NumericalU
     rows = store.read_rows("numerical", NumericalRow, fault_of_series)
     if document is not None and document["of"] == digest(cases):
         rows = [*rows, *document["rows"]]
+    lists = ("mesh_size", "series")
     return tuple(
-        NumericalUncertainty(
-            row["levels"], row["response"], row["value"], row["u_num"], row["unit"],
-            row["behaviour"], row["note"], tuple(row.get("mesh_size", ())),
-            tuple(row.get("series", ())), row.get("formal_order"), row.get("formal_reason", ""),
-        )
+        NumericalUncertainty(**{k: tuple(v) if k in lists else v for k, v in row.items()})  # type: ignore[arg-type]
         for row in rows
-    )  # fmt: skip
+    )
 
 
 #: factors whose levels are meshes
@@ -607,8 +596,6 @@ def numerical_bound(
         series, finest = _refined_series(rows, names, transform, [c for c, _ in cells]), {}
     elements = {tuple(levels[n] for n in names): element for levels, element in cells}
     more = u_of_steps(records, response, transform)
-    if transform == "log" and more:
-        more /= _geometric_mean(records, response)
     combinations = tuple(dict.fromkeys(tuple(levels[n] for n in names) for levels, _ in cells))
     named = {
         cell: replace(s, discretization=elements[cell])
@@ -676,13 +663,12 @@ def _cell_series(
 
 
 def u_of_steps(records: Sequence[Record], response: str, transform: str) -> float:
-    """Largest uncertainty from load steps in the unit, on the log scale by shares; or 0."""
+    """Largest uncertainty from load steps in the unit, as a share on the log scale; or 0."""
     entries = [r.responses[response] for r in records if r.converged and response in r.responses]
     pairs = [(u, e["value"]) for e in entries if (u := e.get("u_steps")) is not None]
-    if transform != "log":
-        return max((u for u, _ in pairs), default=0.0)
-    shares = [u / abs(value) for u, value in pairs if value]
-    return max(shares) * _geometric_mean(records, response) if any(shares) else 0.0
+    if transform == "log":
+        pairs = [(u / abs(value), value) for u, value in pairs if value]
+    return max((u for u, _ in pairs), default=0.0)
 
 
 def mesh_levels(design: Design, records: Sequence[Record]) -> tuple[str | None, list[str]]:
@@ -716,12 +702,6 @@ def _ordered(design: Design, records: Sequence[Record], mesh: str) -> list[str]:
     return list(orders.pop()) if len(orders) == 1 and longest >= _NEEDED else []
 
 
-def _geometric_mean(records: Sequence[Record], response: str) -> float:
-    values = [r.response(response) for r in records]
-    positive = [math.log(v) for v in values if math.isfinite(v) and v > 0]
-    return math.exp(math.fsum(positive) / len(positive))
-
-
 # The cases of a study as their failures are looked at: by level, or by part of a range.
 
 #: equal parts of a range in whose stead its settings stand, where these are as good as all
@@ -734,7 +714,7 @@ GRID = 5
 def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
     """Collect the settings of every case that ended, and whether it failed."""
     parts = {
-        factor.name: parts_of(factor)
+        factor.name: parts_of(factor, factor.span)
         for factor in design.factors
         if factor.span is not None and len(factor.levels) > GRID
     }
@@ -749,11 +729,8 @@ def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
     ]
 
 
-def parts_of(factor: Factor) -> Mapping[str, str]:
+def parts_of(factor: Factor, span: NumericFactor) -> Mapping[str, str]:
     """Part of a range that the setting of every label lies in, by its ends in words."""
-    span = factor.span
-    if span is None:
-        return {}
     ends = [span.at(k / PARTS) for k in range(PARTS + 1)]
     unit = f" {span.unit}" if span.unit else ""
     words = [f"{low:.4g} to {high:.4g}{unit}" for low, high in zip(ends, ends[1:], strict=False)]

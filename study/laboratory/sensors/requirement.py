@@ -15,8 +15,7 @@ from typing import TypeAlias, cast
 
 import numpy as np
 
-from study.execution.local import Loky
-from study.execution.supervisor import Executor, Inline, Results, Task
+from study.execution.local import Executor, Inline, Loky, Results, Task
 from study.ground.arrays import Array
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, RefusedError

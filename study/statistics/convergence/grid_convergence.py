@@ -277,14 +277,14 @@ class ConvergenceResult:
     mesh_size: tuple[float, ...]
     value: tuple[float, ...]
     behaviour: str
-    observed_order: float | None
-    formal_order: float | None
-    extrapolated: float | None
-    gci_fine: float | None
-    factor_of_safety: float | None
-    u_num: float | None
-    asymptotic_ratio: float | None
-    verdict: str
+    observed_order: float | None = None
+    formal_order: float | None = None
+    extrapolated: float | None = None
+    gci_fine: float | None = None
+    factor_of_safety: float | None = None
+    u_num: float | None = None
+    asymptotic_ratio: float | None = None
+    verdict: str = ""
     order_used: float | None = None
     gci_coarse: float | None = None
     order_interval: tuple[float, float] | None = None
