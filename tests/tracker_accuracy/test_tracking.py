@@ -11,7 +11,6 @@ from scipy.stats import f as f_distribution
 
 import study
 from study import api
-from study.cli.app import run
 from study.ground.errors import InputError
 from study.laboratory.tracker.tracker_recording import (
     STAGES,
@@ -19,6 +18,7 @@ from study.laboratory.tracker.tracker_recording import (
     load_tracking,
     write_recording,
 )
+from tests.cli.small import success
 from tests.registration.bodies import cap
 from tests.tracker_accuracy import virtual
 
@@ -73,6 +73,13 @@ def distance_study(folder, seed, drift=0.0, **errors):
     return folder / "distance.toml"
 
 
+def edited(folder, change, file="markers.csv"):
+    """Change the lines of a recording."""
+    lines = (folder / file).read_text().splitlines()
+    change(lines)
+    (folder / file).write_text("\n".join(lines) + "\n")
+
+
 def displacement_study(folder, sd, bow_mm=0.0):
     errors = Errors(3, passes=3, samples=3, scale=1.0, stop_sd_mm=sd, sample_sd_mm=0.0)
     rows = virtual.rows_of(errors, bow_mm=bow_mm)
@@ -89,11 +96,9 @@ def reference_study(folder, seed, arm, turn, noise):
     return folder / "reference.toml"
 
 
-def test_the_command_writes_a_page_and_one_document(tmp_path, capsys):
-    file = distance_study(tmp_path, 1)
-    reports = tmp_path / "reports"
-    assert run(["tracking", str(file), "--reports", str(reports), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_the_command_writes_a_page_and_one_document(tmp_path):
+    command = ("tracking", distance_study(tmp_path, 1), "--reports", tmp_path / "reports")
+    found = success(*command, "--json").json
     page = Path(found["report"]).read_text()
     assert "Figure missing" not in page
     assert not [word for word in ("https:", "src=") if word in page]
@@ -103,8 +108,7 @@ def test_the_command_writes_a_page_and_one_document(tmp_path, capsys):
     assert json.loads((data / "numbers.json").read_text())["distance"] == found["distance"]
     for table in data.glob("*.csv"):  # numbers in cells of their own, no values of Python
         assert "(" not in table.read_text()
-    assert run(["tracking", str(file), "--reports", str(reports)]) == 0
-    assert "matters" in capsys.readouterr().out
+    assert "matters" in success(*command).out
 
 
 def test_the_error_term_is_stage_by_pass(tmp_path):
@@ -222,72 +226,88 @@ def test_a_faulty_file_is_refused_with_its_place(tmp_path, text, rule):
         study.tracking(file)
 
 
+def exchanged(lines):
+    lines[10], lines[11] = lines[11], lines[10]
+
+
 def test_time_that_goes_backwards_is_refused_with_its_line(tmp_path):
     file = distance_study(tmp_path, 1)
-    lines = (tmp_path / "markers.csv").read_text().splitlines()
-    lines[10], lines[11] = lines[11], lines[10]
-    (tmp_path / "markers.csv").write_text("\n".join(lines) + "\n")
+    edited(tmp_path, exchanged)
     with pytest.raises(InputError, match=r"markers.csv:12: the time goes backwards"):
         study.tracking(file)
 
 
+def lost(place):
+    """Write a place of marker b into two rows."""
+
+    def change(lines):
+        for k in (10, 500):
+            lines[k] = ",".join([*lines[k].split(",")[:5], place, place, place])
+
+    return change
+
+
+def swapped(lines):
+    for k in (11, 12, 13):
+        time, stage, *places = lines[k].split(",")
+        lines[k] = ",".join([time, stage, *places[3:], *places[:3]])
+
+
+def renamed(old, new):
+    def change(lines):
+        lines[0] = lines[0].replace(old, new)
+
+    return change
+
+
 @pytest.mark.parametrize(
-    ("change", "rule"),
+    ("change", "text", "rule"),
     [
-        ("lost", r"marker b: 2 of 2400 rows stand at 0, 0, 0 mm, far from all others"),
-        ("coded", r"marker b: 2 of 2400 rows stand at -9999, -9999, -9999 mm"),
-        ("exchanged", r"markers.csv:12: the markers a and b change places, at 2 rows in all"),
-        ("stamps in ms", "'time_ms' says ms, and it is read in s"),
-        ("metres", r"'bx \[m\]' says m, and it is read in mm"),
+        (lost("0"), DISTANCE, r"marker b: 2 of 2400 rows stand at 0, 0, 0 mm, far from all others"),
+        (lost("-9999"), DISTANCE, r"marker b: 2 of 2400 rows stand at -9999, -9999, -9999 mm"),
+        (swapped, DISTANCE, r"markers.csv:12: the markers a and b change places, at 2 rows in all"),
+        (renamed("time", "time_ms"), DISTANCE.replace('"time"', '"time_ms"'),
+         "'time_ms' says ms, and it is read in s"),
+        (renamed("bx", "bx [m]"), DISTANCE.replace('"bx"', '"bx [m]"'),
+         r"'bx \[m\]' says m, and it is read in mm"),
     ],
-)
-def test_rows_that_are_no_places_of_their_marker_are_refused(tmp_path, change, rule):
+    ids=["lost", "coded", "exchanged", "stamps in ms", "metres"],
+)  # fmt: skip
+def test_rows_that_are_no_places_of_their_marker_are_refused(tmp_path, change, text, rule):
     """Lost markers written as zeros gave a bias of 9.6 [5.2, 13.9] mm, of none."""
     file = distance_study(tmp_path, 1)
-    lines = (tmp_path / "markers.csv").read_text().splitlines()
-    for k in (10, 500) if change in ("lost", "coded") else ():
-        place = "0" if change == "lost" else "-9999"
-        lines[k] = ",".join([*lines[k].split(",")[:5], place, place, place])
-    if change == "exchanged":
-        for k in (11, 12, 13):
-            time, stage, *places = lines[k].split(",")
-            lines[k] = ",".join([time, stage, *places[3:], *places[:3]])
-    if change == "stamps in ms":
-        lines[0] = lines[0].replace("time", "time_ms")
-        file.write_text(DISTANCE.replace('"time"', '"time_ms"'))
-    if change == "metres":
-        lines[0] = lines[0].replace("bx", "bx [m]")
-        file.write_text(DISTANCE.replace('"bx"', '"bx [m]"'))
-    (tmp_path / "markers.csv").write_text("\n".join(lines) + "\n")
+    file.write_text(text)
+    edited(tmp_path, change)
     with pytest.raises(InputError, match=rule):
         study.tracking(file)
 
 
-def test_rows_without_a_place_of_a_marker_are_left_out_and_counted(tmp_path, capsys):
+def test_rows_without_a_place_of_a_marker_are_left_out_and_counted(tmp_path):
     """The answer is that of the file without these rows, and with all visits where they were."""
     file = distance_study(tmp_path, 1)
     header, *rows = (tmp_path / "markers.csv").read_text().splitlines()
-    lost, nothing = range(7, 2400, 31), ("", "NaN", "-")
-    kept = [row for k, row in enumerate(rows) if k not in lost]
+    gone, nothing = range(7, 2400, 31), ("", "NaN", "-")
+    kept = [row for k, row in enumerate(rows) if k not in gone]
     (tmp_path / "markers.csv").write_text("\n".join([header, *kept]) + "\n")
     without = study.tracking(file).distance
-    for k in lost:
-        cells = rows[k].split(",")
-        rows[k] = ",".join([*cells[:5], *[nothing[k % 3]] * 3])
+    for k in gone:
+        rows[k] = ",".join([*rows[k].split(",")[:5], *[nothing[k % 3]] * 3])
     (tmp_path / "markers.csv").write_text("\n".join([header, *rows]) + "\n")
     assert study.tracking(file).distance.to_json() == without.to_json()
-    assert run(["tracking", str(file), "--reports", str(tmp_path)]) == 0
+    said = success("tracking", file, "--reports", tmp_path).err
     note = "marker b: 78 of 2400 rows have no place of it and are left out"
-    assert note in " ".join(capsys.readouterr().err.split())
+    assert note in " ".join(said.split())
 
 
 def test_a_marker_that_repeats_its_last_place_is_named(tmp_path):
     file = distance_study(tmp_path, 1)
     assert study.tracking(file).notes == ()
-    lines = (tmp_path / "markers.csv").read_text().splitlines()
-    for k in range(20, 60):
-        lines[k] = ",".join([*lines[k].split(",")[:5], *lines[19].split(",")[5:]])
-    (tmp_path / "markers.csv").write_text("\n".join(lines) + "\n")
+
+    def repeated(lines):
+        for k in range(20, 60):
+            lines[k] = ",".join([*lines[k].split(",")[:5], *lines[19].split(",")[5:]])
+
+    edited(tmp_path, repeated)
     (note,) = study.tracking(file).notes
     assert note.startswith("marker b: 40 of 2400 rows repeat the place of the row before")
 
@@ -364,13 +384,10 @@ def test_a_real_tracker_against_a_laser_tracker(tmp_path, data_dir):
 DESIGN = Path(__file__).parents[2] / "designs" / "tracker.toml"
 
 
-def test_two_commands_lead_from_nothing_to_the_page(tmp_path, capsys):
-    assert run(["virtual", str(tmp_path), "--from", str(DESIGN)]) == 0
-    assert "study tracking" in capsys.readouterr().err
+def test_two_commands_lead_from_nothing_to_the_page(tmp_path):
+    assert "study tracking" in success("virtual", tmp_path, "--from", DESIGN).err
     told = json.loads((tmp_path / "tracker" / "markers.csv.virtual.json").read_text())
-    again = ["tracking", str(DESIGN), "--data", str(tmp_path), "--reports", str(tmp_path)]
-    assert run([*again, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = success("tracking", DESIGN, "--data", tmp_path, "--reports", tmp_path, "--json").json
     assert "Figure missing" not in Path(found["report"]).read_text()
     distance, displacement = found["distance"], found["displacement"]
     assert [one["stage"] for one in distance["stages"]] == [name for name, _ in STAGES]
