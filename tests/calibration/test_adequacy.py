@@ -13,7 +13,7 @@ from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.lack_of_fit import adequacy, apart
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
-from tests.calibration.cylinder import predictor
+from tests.calibration.cylinder import autoregression, predictor
 from tests.cli import small
 from tests.cli.small import case_file, gauge, recorded
 from tests.fem.problems import LONG, long_verification
@@ -26,14 +26,8 @@ FALSE = 0.02
 
 def errors(kind, force, size, rng):
     """Errors of rows with a standard deviation of ``size`` over the (largest) force."""
-    white = rng.normal(size=force.size)
-    if kind == "proportional":
-        return size * force * white
-    rho = 0.9 if kind == "drift" else 0.0
-    out = white.copy()
-    for k in range(1, out.size):
-        out[k] = rho * out[k - 1] + np.sqrt(1 - rho**2) * white[k]
-    return size * force.max() * out
+    scale = force if kind == "proportional" else force.max()
+    return size * scale * autoregression(0.9 if kind == "drift" else 0.0, rng, force.size)
 
 
 def judged(curves, names=("C10", "C20"), model="reduced-polynomial", tests=(), bounds=None):

@@ -10,7 +10,7 @@ from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.calibration.serial_correlation import Series, intervals
-from tests.calibration.cylinder import AREA, predictor
+from tests.calibration.cylinder import AREA, autoregression, predictor
 from tests.cli.small import success
 from tests.fem.problems import LONG
 from tests.runner.test_calibrate import case
@@ -19,14 +19,6 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 ENERGIES = {"neo-hookean": {"C10": 7e-3}, "reduced-polynomial": {"C10": 7e-3, "C20": 1.5e-3}}
 ROWS, DEPTH = 60, 9.0
-
-
-def autoregression(rho, rng, rows=ROWS):
-    """Stationary errors of unit variance."""
-    error = rng.normal(size=rows)
-    for t in range(1, rows):
-        error[t] = rho * error[t - 1] + np.sqrt(1 - rho**2) * error[t]
-    return error
 
 
 MANY = [
@@ -53,7 +45,7 @@ def test_intervals_cover_the_constants(model, points, rho, tests, least, most):
     predict = predictor(model, names, DEPTH, places=places)[0]
     rng, hits = np.random.default_rng(2011), np.zeros(truth.size)
     for _ in range(tests):
-        rows = Curve(d, exact + 0.1 * autoregression(rho, rng))
+        rows = Curve(d, exact + 0.1 * autoregression(rho, rng, ROWS))
         curve = Curve(places, np.interp(places, d, rows.force_N), recorded=(rows,))
         measured = [MeasuredCurve("virtual", curve)]
         found = with_serial_correlation(fit(predict, measured, names, truth), measured)
