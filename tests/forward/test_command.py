@@ -32,6 +32,7 @@ from study.simulation.cell import Cell, CellProblem
 from study.simulation.fit_problem import fit_key, fit_problem, request
 from study.simulation.fit_task import fitted
 from study.simulation.job import FitJob
+from tests.cli.small import CSV, measured, pressed, responses
 from tests.waiting import CAP_S, is_alive, until
 
 ROOT = Path(__file__).parents[2]
@@ -54,27 +55,15 @@ def solve_by_command(made, given, points):
     return answer, answer.solver["program"]
 
 
-DESIGN = """
-schema = 1
-[study]
-name = "programs"
-question = "Does it matter who computes?"
-[specimen]
-shape = "cylinder"
-radius = "14.5 mm"
-height = "25 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-[material]
-model = "reduced-polynomial"
-order = 2
-incompressible = true
-[measurements]
-file = "m.csv"
-columns = { displacement = "d", force = "f" }
-units = { displacement = "mm", force = "N" }
-points = 12
+DESIGN = (
+    pressed(
+        '[material]\nmodel = "reduced-polynomial"\norder = 2\nincompressible = true\n',
+        study='[study]\nname = "programs"\nquestion = "Does it matter who computes?"\n',
+        radius=14.5,
+        height=25,
+    )
+    + measured("m.csv")
+    + """points = 12
 range = ["1 %", "20 %"]
 [presets.forward.built-in]
 model = "closed-form"
@@ -89,15 +78,10 @@ files = ["solvers/closed_form.py"]
 version = ["python", "--version"]
 [factors]
 forward = ["built-in", "differences", "gradients"]
-[[response]]
-name = "C10"
-practical = "5 % of mean"
-[[response]]
-name = "C20"
-practical = "0.5 kPa"
-[report]
-format = ["csv"]
 """
+    + responses(C10="5 % of mean", C20="0.5 kPa")
+    + CSV
+)
 
 
 def problem(**constants):

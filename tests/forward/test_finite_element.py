@@ -17,12 +17,8 @@ from study.simulation.virtual_specimens import usual_generator, write_virtual
 
 DESIGN = """
 schema = 1
-[study]
-name = "cone"
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "10 mm"
+study = { name = "cone" }
+specimen = { shape = "cylinder", radius = "10 mm", height = "10 mm" }
 [test]
 kind = "indentation"
 interface = "frictionless"
@@ -32,11 +28,9 @@ steps = 4
 indenter = { shape = "sphere", radius = "3 mm" }
 [material]
 poisson_ratio = 0.4995
-[presets.material.neo-hookean]
-model = "neo-hookean"
-[presets.material.reduced-polynomial-2]
-model = "reduced-polynomial"
-order = 2
+[presets.material]
+neo-hookean = { model = "neo-hookean" }
+reduced-polynomial-2 = { model = "reduced-polynomial", order = 2 }
 [measurements]
 files = "indentation-{specimen}.csv"
 columns = { displacement = "displacement_mm", force = "force_N" }
@@ -46,9 +40,7 @@ range = ["0.25 mm", "1 mm"]
 points = 20
 [calibration]
 method = "auto"
-[calibration.problem.test]
-kind = "compression"
-interface = "frictionless"
+problem.test = { kind = "compression", interface = "frictionless" }
 [calibration.problem.measurements]
 files = "compression-{specimen}.csv"
 columns = { displacement = "displacement_mm", force = "force_N" }
