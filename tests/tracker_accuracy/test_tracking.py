@@ -132,7 +132,7 @@ def test_the_error_term_is_stage_by_pass(tmp_path):
 
 def test_samples_are_not_taken_for_independent(tmp_path):
     """A serial correlation of 0.8 makes a sample worth (1 - 0.8) / (1 + 0.8) of one."""
-    found = study.tracking(distance_study(tmp_path, 3, passes=4, samples=2000)).distance
+    found = study.tracking(distance_study(tmp_path, 3, passes=4, samples=800)).distance
     rest = found.stages[0]
     assert rest.independent / rest.samples == pytest.approx(1 / 9, rel=0.3)
     # of a difference of two markers
