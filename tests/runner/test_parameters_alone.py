@@ -574,7 +574,7 @@ runs = 24
 [[response]]
 name = "peak_force"
 """
-    text = SCATTERING.replace("n = 12", "n = 40") + design
+    text = SCATTERING.replace("n = 12", "n = 20") + design
     found = run(text, tmp_path, force)
     d = np.array([0.5, 1.0, 1.5, 2.0])
     measured = pd.DataFrame({"displacement_mm": d, "force_N": 2.2 * d * (1 + 0.2 * d)})
