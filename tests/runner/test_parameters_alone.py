@@ -16,7 +16,6 @@ import pytest
 from study import api
 from study.ground import errors
 from tests.cli.small import study, success
-from tests.fem.problems import long_verification
 from tests.pages import both_pages
 
 
@@ -854,7 +853,7 @@ print(json.dumps([peak_mb, {t: [e.verdict, e.of_components, e.range] for t, e in
 """
 
 
-@long_verification
+@pytest.mark.slow
 def test_the_largest_factorial_is_analyzed_in_a_bounded_memory(tmp_path):
     """4 factors of 8 levels, 4,096 cells without repeats: pairs of cells once took 256 GiB."""
     run = subprocess.run([sys.executable, "-c", LARGEST], cwd=tmp_path, check=True,
