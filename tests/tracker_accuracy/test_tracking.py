@@ -73,13 +73,6 @@ def distance_study(folder, seed, drift=0.0, **errors):
     return folder / "distance.toml"
 
 
-def edited(folder, change, file="markers.csv"):
-    """Change the lines of a recording."""
-    lines = (folder / file).read_text().splitlines()
-    change(lines)
-    (folder / file).write_text("\n".join(lines) + "\n")
-
-
 def displacement_study(folder, sd, bow_mm=0.0):
     errors = Errors(3, passes=3, samples=3, scale=1.0, stop_sd_mm=sd, sample_sd_mm=0.0)
     rows = virtual.rows_of(errors, bow_mm=bow_mm)
@@ -226,58 +219,43 @@ def test_a_faulty_file_is_refused_with_its_place(tmp_path, text, rule):
         study.tracking(file)
 
 
-def exchanged(lines):
-    lines[10], lines[11] = lines[11], lines[10]
-
-
 def test_time_that_goes_backwards_is_refused_with_its_line(tmp_path):
     file = distance_study(tmp_path, 1)
-    edited(tmp_path, exchanged)
+    lines = (tmp_path / "markers.csv").read_text().splitlines()
+    lines[10], lines[11] = lines[11], lines[10]
+    (tmp_path / "markers.csv").write_text("\n".join(lines) + "\n")
     with pytest.raises(InputError, match=r"markers.csv:12: the time goes backwards"):
         study.tracking(file)
 
 
-def lost(place):
-    """Write a place of marker b into two rows."""
-
-    def change(lines):
-        for k in (10, 500):
-            lines[k] = ",".join([*lines[k].split(",")[:5], place, place, place])
-
-    return change
-
-
-def swapped(lines):
-    for k in (11, 12, 13):
-        time, stage, *places = lines[k].split(",")
-        lines[k] = ",".join([time, stage, *places[3:], *places[:3]])
-
-
-def renamed(old, new):
-    def change(lines):
-        lines[0] = lines[0].replace(old, new)
-
-    return change
-
-
 @pytest.mark.parametrize(
-    ("change", "text", "rule"),
+    ("change", "rule"),
     [
-        (lost("0"), DISTANCE, r"marker b: 2 of 2400 rows stand at 0, 0, 0 mm, far from all others"),
-        (lost("-9999"), DISTANCE, r"marker b: 2 of 2400 rows stand at -9999, -9999, -9999 mm"),
-        (swapped, DISTANCE, r"markers.csv:12: the markers a and b change places, at 2 rows in all"),
-        (renamed("time", "time_ms"), DISTANCE.replace('"time"', '"time_ms"'),
-         "'time_ms' says ms, and it is read in s"),
-        (renamed("bx", "bx [m]"), DISTANCE.replace('"bx"', '"bx [m]"'),
-         r"'bx \[m\]' says m, and it is read in mm"),
+        ("lost", r"marker b: 2 of 2400 rows stand at 0, 0, 0 mm, far from all others"),
+        ("coded", r"marker b: 2 of 2400 rows stand at -9999, -9999, -9999 mm"),
+        ("exchanged", r"markers.csv:12: the markers a and b change places, at 2 rows in all"),
+        ("stamps in ms", "'time_ms' says ms, and it is read in s"),
+        ("metres", r"'bx \[m\]' says m, and it is read in mm"),
     ],
-    ids=["lost", "coded", "exchanged", "stamps in ms", "metres"],
-)  # fmt: skip
-def test_rows_that_are_no_places_of_their_marker_are_refused(tmp_path, change, text, rule):
+)
+def test_rows_that_are_no_places_of_their_marker_are_refused(tmp_path, change, rule):
     """Lost markers written as zeros gave a bias of 9.6 [5.2, 13.9] mm, of none."""
     file = distance_study(tmp_path, 1)
-    file.write_text(text)
-    edited(tmp_path, change)
+    lines = (tmp_path / "markers.csv").read_text().splitlines()
+    for k in (10, 500) if change in ("lost", "coded") else ():
+        place = "0" if change == "lost" else "-9999"
+        lines[k] = ",".join([*lines[k].split(",")[:5], place, place, place])
+    if change == "exchanged":
+        for k in (11, 12, 13):
+            time, stage, *places = lines[k].split(",")
+            lines[k] = ",".join([time, stage, *places[3:], *places[:3]])
+    if change == "stamps in ms":
+        lines[0] = lines[0].replace("time", "time_ms")
+        file.write_text(DISTANCE.replace('"time"', '"time_ms"'))
+    if change == "metres":
+        lines[0] = lines[0].replace("bx", "bx [m]")
+        file.write_text(DISTANCE.replace('"bx"', '"bx [m]"'))
+    (tmp_path / "markers.csv").write_text("\n".join(lines) + "\n")
     with pytest.raises(InputError, match=rule):
         study.tracking(file)
 
@@ -302,12 +280,10 @@ def test_rows_without_a_place_of_a_marker_are_left_out_and_counted(tmp_path):
 def test_a_marker_that_repeats_its_last_place_is_named(tmp_path):
     file = distance_study(tmp_path, 1)
     assert study.tracking(file).notes == ()
-
-    def repeated(lines):
-        for k in range(20, 60):
-            lines[k] = ",".join([*lines[k].split(",")[:5], *lines[19].split(",")[5:]])
-
-    edited(tmp_path, repeated)
+    lines = (tmp_path / "markers.csv").read_text().splitlines()
+    for k in range(20, 60):
+        lines[k] = ",".join([*lines[k].split(",")[:5], *lines[19].split(",")[5:]])
+    (tmp_path / "markers.csv").write_text("\n".join(lines) + "\n")
     (note,) = study.tracking(file).notes
     assert note.startswith("marker b: 40 of 2400 rows repeat the place of the row before")
 
