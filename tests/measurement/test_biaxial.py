@@ -20,13 +20,13 @@ def stress(one, other):
     return 2 * (one**2 - thickness**2) * (C10 + C01 * other**2) / one
 
 
-def calibrated(folder, stretches, stresses, material='model = "mooney-rivlin"', volume=""):
+def calibrated(folder, stretches, stresses, material='model = "mooney-rivlin"', volume="", **more):
     """Calibration by rows of two stretches and two stresses, kPa."""
     columns = {f"stretch_{k}": ("1", one) for k, one in enumerate(stretches, 1)}
     columns |= {f"stress_{k}": ("kPa", one) for k, one in enumerate(stresses, 1)}
     head = gauge(f"{material}\n{volume or 'incompressible = true'}", SIZE)
     path = case_file(folder, head, recorded(folder, "b", 'kind = "biaxial"', columns))
-    return study.calibrate(path, data=folder, results=folder / "results")
+    return study.calibrate(path, data=folder, **more)
 
 
 def exact(one, other):
@@ -42,7 +42,7 @@ def drawn(rows, seed):
 
 def test_constants_come_back_from_both_directions(tmp_path):
     rows = exact(*drawn(30, 3))
-    found = calibrated(tmp_path, *rows)
+    found = calibrated(tmp_path, *rows, results=tmp_path / "results")
     assert found.fit.values == pytest.approx([C10, C01], rel=1e-6)
     document = found.to_json()
     assert document["n"] == 62
