@@ -244,7 +244,7 @@ def _opened(
 def save_calibration(result: CalibrationResult, folder: Path) -> None:
     """Write the document of a calibration, its figure and that of the recordings."""
     from study.reporting.figures.curve_figures import draw_fit
-    from study.reporting.figures.registry import of_recordings
+    from study.reporting.figures.study_figures import of_recordings
 
     drawn = of_recordings(recording_points(result))
     if drawn.svg:

@@ -169,8 +169,8 @@ def _conclusion(
     conclusion, holds = _judge(effects, (first, second), names, end, same)
     ratio = effects[0].scale == "ratio"
     return Conclusion(
-        response.name, effects[0].term, response.unit, conclusion, holds, effects, ratio, end,
-        same, (first, second),
+        response.name, effects[0].term, response.unit, conclusion, holds, effects, ratio,
+        end or None, same, (first, second),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from study.harness.runner.expansion import expand
 from study.simulation.tasks import Costs, default_jobs
 from study.statistics.analysis.analysis_request import on_scale, threshold
 from study.statistics.analysis.analysis_result import AnalysisResult
-from study.statistics.analysis.linear_contrast import Contrast
+from study.statistics.analysis.anova_table import Contrast
 from study.statistics.analysis.post_hoc import named_contrasts
 from study.statistics.analysis.power import PlannedVerdicts, fewest_blocks, planned_verdicts
 

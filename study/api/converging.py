@@ -65,7 +65,7 @@ class SeriesDocument(Shown, dict[str, object]):
         from study.reporting.figures.convergence_figures import draw_values
 
         frame = self.to_frame()
-        return shown(lambda: draw_values(frame), "convergence", "value against mesh size")
+        return shown(lambda: draw_values([], frame), "convergence", "value against mesh size")
 
     def blocks(self) -> Iterator[Block]:
         """Every series with its verdict, as ``study converge`` prints them."""

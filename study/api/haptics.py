@@ -38,8 +38,7 @@ from study.mechanics.material.stability import check, stability
 from study.record.record import Record
 from study.record.store import Store
 from study.reporting.content.text import THIN, duration, slug
-from study.reporting.output.accuracy_page import write_shape, write_tracker
-from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
+from study.reporting.output import laboratory_pages as pages
 from study.simulation.cell import CellProblem, tested
 from study.simulation.fit_problem import data_root, folders, located
 from study.simulation.problem_file import default_name
@@ -323,7 +322,7 @@ def export(
     for path, text in texts.items():
         write_atomic(path, text.encode())
     question = "How does the force follow from displacement and constants?"
-    page = write_force_law(law, question, folder, tuple(warnings))
+    page = pages.write_force_law(law, question, folder, tuple(warnings))
     return _exported(law.to_json(), law.sentences(), (*texts, page), warnings, law)
 
 
@@ -383,8 +382,8 @@ def require(
         time = duration(seconds).replace(THIN, " ")
         progress(f"{tests} simulated tests on {workers} workers, predicted to take {time}")
     sensors = sensor_requirement(file, workers, progress)
-    page = write_requirement(sensors, out)
-    return replace(sensors, report=str(page), warnings=tuple(warnings(sensors)))
+    page = pages.write_requirement(sensors, out)
+    return replace(sensors, report=str(page), warnings=tuple(pages.warnings(sensors)))
 
 
 # The surfaces of a study as functions that need no package.
@@ -501,7 +500,7 @@ def shape(
     )
     if reports is None:
         return deviation
-    return replace(deviation, report=str(write_shape(deviation, Path(reports) / slug(name))))
+    return replace(deviation, report=str(pages.write_shape(deviation, Path(reports) / slug(name))))
 
 
 def _body(path: Path, surface_unit: str, overrides: Sequence[str]) -> SimulatedBody:
@@ -553,7 +552,7 @@ def tracking(
     accuracy = judge_tracker(declared, root, name, _compared_stages)
     if reports is None:
         return accuracy
-    page = write_tracker(accuracy, Path(reports) / slug(accuracy.name))
+    page = pages.write_tracker(accuracy, Path(reports) / slug(accuracy.name))
     return replace(accuracy, report=str(page))
 
 

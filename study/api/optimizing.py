@@ -49,19 +49,17 @@ from study.reporting.results.study_answers import (
 )
 from study.simulation import overlay
 from study.statistics.surfaces.surface_factors import Runs, never_run
-from study.statistics.surfaces.surface_inversion import (
-    InversionAgreement,
-    NearestCurves,
-    agreeing,
-)
 from study.statistics.surfaces.surface_optimum import (
     Goal,
+    InversionAgreement,
+    NearestCurves,
     ResponseLimit,
+    agreeing,
     check_carries,
+    fit_curves,
     optimum,
     spread_over,
 )
-from study.statistics.surfaces.surface_profile import fit_curves
 
 if TYPE_CHECKING:
     from study.api.assemble import StudyResult
@@ -264,7 +262,7 @@ def _best(
         low=best.value - best.half_width,
         high=best.value + best.half_width,
         limited=tuple((v, v - h, v + h) for v, h in best.limited),
-        assurance=best.assurance,
+        limits_hold=best.assurance or None,
         at_end=tuple(runs.names[j] for j in best.on_boundary),
         spread=spread_over(goal_surface.model, limits, best, others),
         notes=tuple(never_run(runs, best.at[None, :])),
@@ -344,7 +342,7 @@ def _at(
     # where a setting keeps the limits surely, one that is only predicted to is no rival
     ranked = sorted(
         candidates,
-        key=lambda candidate: (candidate.assurance == "predicted", sign * candidate.value),
+        key=lambda candidate: (candidate.limits_hold == "predicted", sign * candidate.value),
     )
     rivals = tuple(
         OtherChoice({n: str(candidate.settings[n]) for n in chosen}, candidate.value)

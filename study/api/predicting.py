@@ -24,8 +24,7 @@ from study.simulation.fit_problem import NOTHING, Allowed
 from study.statistics.surfaces import surface_fitting
 from study.statistics.surfaces.emulator import LARGEST, expected_seconds
 from study.statistics.surfaces.surface_factors import some_runs
-from study.statistics.surfaces.surface_profile import FittedSurface
-from study.statistics.surfaces.surface_result import SurfaceAnalysis
+from study.statistics.surfaces.surface_result import FittedSurface, SurfaceAnalysis
 
 if TYPE_CHECKING:
     from study.api.assemble import StudyResult

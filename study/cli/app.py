@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -15,8 +16,17 @@ from typing import Annotated
 import typer
 from typer.main import get_command
 
+from study import api
 from study.cli import output, single_commands, statistics_commands, study_commands
-from study.cli.output import argument, complain, interrupted, is_resumable, option, written
+from study.cli.output import (
+    argument,
+    complain,
+    described,
+    interrupted,
+    is_resumable,
+    option,
+    written,
+)
 from study.cli.study_commands import REPORTS, RESULTS, Reports, Results, Set
 from study.ground.errors import Fault, InputError, StoppedError, StudyError, names_in_bounds
 from study.ground.working_folder import leave
@@ -30,7 +40,6 @@ def serve(
     reports: Reports = REPORTS,
 ) -> None:
     """Show studies at work, finished ones and their reports in a browser, on this machine alone."""
-    from study import api
 
     def say(address: str) -> None:
         print(f"{address}  (Ctrl-C ends it)", flush=True)
@@ -44,9 +53,7 @@ def serve(
 
 def new(
     file: Annotated[Path, argument("File to be written.")],
-    calibration: Annotated[
-        bool, option("A calibration, with virtual measurements beside it.")
-    ] = False,
+    calibration: Annotated[bool, "A calibration, with virtual measurements beside it."] = False,
 ) -> None:
     """Write a commented design, or calibration, to start from."""
     from study.api.calibrating import new_file
@@ -73,14 +80,11 @@ def virtual(
     source: Annotated[
         Path | None, option("Design, or tracker study, whose data are imitated.", "--from")
     ] = None,
-    truth: Annotated[
-        str, option("Material behind the specimens: yeoh, ogden or humphrey.")
-    ] = "yeoh",
+    truth: Annotated[str, "Material behind the specimens: yeoh, ogden or humphrey."] = "yeoh",
     specimens: Annotated[int | None, option("Number of specimens (or batches).", min=2)] = None,
     settings: Set = None,
 ) -> None:
     """Write virtual measurements as CSV."""
-    from study import api
     from study.harness.design.load import design_root, load
     from study.laboratory.tracker.tracker_recording import is_tracking
     from study.simulation.fit_problem import data_root
@@ -176,7 +180,7 @@ GROUPS: dict[str, dict[Callable[..., None], str]] = {
 VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
 for group, verbs in GROUPS.items():
     for verb, example in verbs.items():
-        app.command(rich_help_panel=group, epilog=f"Example: {example}")(verb)
+        app.command(rich_help_panel=group, epilog=f"Example: {example}")(described(verb))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -201,7 +205,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     gc.set_threshold(50_000, 20, 20)
     typed = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        given = [_with_digest(word) for word in typed]
+        # a digest may be written as the value of --allow-commands
+        given = [re.sub("^--allow-commands=", "--allow-digest=", word) for word in typed]
         with names_in_bounds():
             code = _parser(app)(given, prog_name="study", standalone_mode=False)
     except StudyError as error:
@@ -226,12 +231,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         with suppress(OSError):  # a terminal that was closed cannot be written to
             print(interrupted(typed), file=sys.stderr)
     return code if isinstance(code, int) else 0
-
-
-def _with_digest(word: str) -> str:
-    """Option of a digest, where one is written as the value of --allow-commands."""
-    option, equals, digest = word.partition("=")
-    return f"--allow-digest={digest}" if option == "--allow-commands" and equals else word
 
 
 def _interrupt(number: int, frame: object) -> None:

@@ -9,22 +9,27 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from operator import getitem
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Annotated, get_type_hints
 
 import typer
 
 from study.ground.errors import Fault, InputError, StudyError
+from study.reporting.content.blocks import Block
+from study.reporting.content.text import THIN, duration
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
     from study.api.assemble import StudyResult
     from study.api.planning import Plan
     from study.harness.runner.batch import Progress
-    from study.reporting.content.blocks import Block
 
 
-T = TypeVar("T")
+#: words that need not be given
+Text = str | None
+#: of an option that has no opposite ``--no-...``
+SWITCH = object()
 
 #: seconds between two lines of progress where there is no terminal to redraw
 QUIET_S = 10.0
@@ -36,6 +41,18 @@ SAME = 4
 def option(words: str, *names: str, min: float | None = None, max: float | None = None) -> object:
     """Option of a verb with its help."""
     return typer.Option(*names, help=words, min=min, max=max)
+
+
+def described(verb: Callable[..., None]) -> Callable[..., None]:
+    """Verb with an option for each argument that its annotation describes in words alone."""
+    hints = get_type_hints(verb, include_extras=True)
+    for name, hint in hints.items():
+        words = getattr(hint, "__metadata__", ())
+        if words and isinstance(words[0], str):
+            names = [f"--{name.replace('_', '-')}"] if SWITCH in words else []
+            hints[name] = getitem(Annotated, (hint.__origin__, option(words[0], *names)))
+    verb.__annotations__ = hints
+    return verb
 
 
 def argument(words: str, offered: Callable[..., list[str]] | None = None) -> object:
@@ -53,17 +70,17 @@ def print_json(result: object) -> None:
 
 
 def show(
-    result: T,
+    result: object,
     as_json: bool,
-    blocks: Callable[[T], Iterable[Block | None]],
+    blocks: Iterable[Block | None],
     warnings: Sequence[str] = (),
 ) -> None:
-    """Print what a verb found, in blocks or as JSON, after its warnings."""
+    """Print what a verb found as JSON or, then only made, in blocks, after its warnings."""
     warn(warnings)
     if as_json:
         print_json(result)
     else:
-        say(blocks(result))
+        say(blocks)
 
 
 def complain(error: StudyError) -> None:
@@ -98,8 +115,6 @@ def warn(messages: Sequence[str]) -> None:
 
 def seconds(value: float) -> str:
     """Give a duration in words."""
-    from study.reporting.content.text import THIN, duration
-
     return duration(value).replace(THIN, " ")
 
 

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from study import api
 from study.cli import output
-from study.cli.output import argument, designs, option
+from study.cli.output import SWITCH, Text, argument, designs, option
 from study.cli.study_commands import REPORTS, RESULTS, Data, Jobs, Json, Reports, Results, Set
 from study.ground import units
 from study.ground.errors import Fault, InputError
-from study.reporting.content.blocks import Sentence, Table, Verbatim
+from study.reporting.content.blocks import Block, Sentence, Table, Verbatim
 from study.reporting.content.calibration_content import (
     calibration_blocks,
     comparison_blocks,
@@ -25,7 +26,6 @@ from study.reporting.content.calibration_content import (
 from study.reporting.content.text import between, general
 
 if TYPE_CHECKING:
-    from study.laboratory.sensors.requirement import SensorRequirement
     from study.mechanics.indentation.indentation_modulus import (
         AnalyticCalibration,
         CurveModulus,
@@ -33,44 +33,37 @@ if TYPE_CHECKING:
         MedianEstimate,
     )
     from study.mechanics.measurement.inspection import Inspection
-    from study.reporting.content.blocks import Block
     from study.simulation.staged_fit import FitStep
 
 
-Numerics = Annotated[bool, option("Bound the error by meshes and load steps.", "--numerics")]
+Numerics = Annotated[bool, "Bound the error by meshes and load steps.", SWITCH]
 Resamples = Annotated[int, option("Intervals from this many resampled fits.", "--bootstrap")]
 
 
 def solve(
     file: Annotated[Path, argument("Problem file.", designs)],
     settings: Set = None,
-    picture: Annotated[Path | None, option("SVG file for a picture of the deformed mesh.")] = None,
+    picture: Annotated[Path | None, "SVG file for a picture of the deformed mesh."] = None,
     vtu: Annotated[
-        Path | None, option("Fields for ParaView: .vtu of the last step, .pvd of all of them.")
+        Path | None, "Fields for ParaView: .vtu of the last step, .pvd of all of them."
     ] = None,
-    whole: Annotated[
-        bool, option("Mirror the fields at the planes of symmetry.", "--whole")
-    ] = False,
-    follow: Annotated[
-        bool, option("Go on behind an instability, on the whole body.", "--follow")
-    ] = False,
+    whole: Annotated[bool, "Mirror the fields at the planes of symmetry.", SWITCH] = False,
+    follow: Annotated[bool, "Go on behind an instability, on the whole body.", SWITCH] = False,
     as_json: Json = False,
 ) -> None:
     """Simulate one test."""
-    from study import api
-    from study.api.solving import SolvedProblem, cautions, writable, write_picture, write_vtu
+    from study.api.solving import cautions, writable, write_picture, write_vtu
 
     writable(picture, vtu)
     output.warn(cautions(file, settings or ()))
     solution = api.solve(file, overrides=settings or (), follow=follow)
-    curve = solution.curve
-    if (picture or vtu) and not len(curve.displacement_mm):
+    if (picture or vtu) and not len(solution.curve.displacement_mm):
         print("no step converged: nothing is drawn or written", file=sys.stderr)
-    elif picture or vtu:
+    else:
         for path, write in ((picture, write_picture), (vtu, partial(write_vtu, whole=whole))):
             if path is not None:
                 write(solution, path)
-    output.show(solution, as_json, SolvedProblem.blocks)
+    output.show(solution, as_json, solution.blocks())
     if solution.status != "converged":
         raise typer.Exit(1)
 
@@ -82,7 +75,7 @@ def doctor(as_json: Json = False) -> None:
     findings = examine()
     heads = ("name", "outcome", "finding")
     rows = tuple(tuple(check[head] for head in heads) for check in findings["checks"])
-    output.show(findings, as_json, lambda _: [Table("", ("check", *heads[1:]), rows)])
+    output.show(findings, as_json, [Table("", ("check", *heads[1:]), rows)])
     if not findings["ok"]:
         raise typer.Exit(1)
 
@@ -92,31 +85,22 @@ def calibrate(
     data: Data = None,
     settings: Set = None,
     convention: Annotated[
-        str, option("Also print the constants as: abaqus, febio, ogden-classical.")
+        str, "Also print the constants as: abaqus, febio, ogden-classical."
     ] = "study",
-    profiles: Annotated[bool, option("Profile-likelihood intervals.", "--profile")] = (False),
+    profiles: Annotated[bool, option("Profile-likelihood intervals.", "--profile")] = False,
     numerics: Numerics = False,
     bootstrap: Resamples = 0,
-    energies: Annotated[
-        bool, option("Fit every energy and weigh them by AICc.", "--energies")
-    ] = False,
-    method: Annotated[
-        str, option("auto, or analytic: moduli of indentations in closed form.")
-    ] = "",
-    by: Annotated[
-        str | None, option("Fit every 'test' for itself: are the constants equal (Wald test)?")
-    ] = None,
+    energies: Annotated[bool, "Fit every energy and weigh them by AICc.", SWITCH] = False,
+    method: Annotated[str, "auto, or analytic: moduli of indentations in closed form."] = "",
+    by: Annotated[Text, "Fit every 'test' for itself: are the constants equal (Wald test)?"] = None,
     difference: Annotated[
-        str, option("With --by: the power is that of seeing moduli this far off.")
+        str, "With --by: the power is that of seeing moduli this far off."
     ] = "5 %",
-    zero: Annotated[
-        str, option("With --by: standard uncertainty of a test's zero, of its force.")
-    ] = "0 %",
+    zero: Annotated[str, "With --by: standard uncertainty of a test's zero, of its force."] = "0 %",
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
     """Find material constants from one or several measured tests."""
-    from study import api
     from study.api.calibrating import is_analytic
 
     overrides = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
@@ -134,23 +118,20 @@ def calibrate(
         with units.naming("--difference"):
             off = units.parse(difference, "ratio")
         with units.naming("--zero"):
-            uncertain = units.parse(zero, "ratio")
+            u_zero = units.parse(zero, "ratio")
         with _iterations() as progress:
             compared = api.compare_tests(
-                file,
-                data=data,
-                overrides=overrides,
-                progress=progress,
-                difference=off,
-                zero=uncertain,
+                file, data=data, overrides=overrides, progress=progress, difference=off, zero=u_zero
             )
         document = compared.to_json()
-        output.show(document, as_json, comparison_blocks, [] if as_json else document["warnings"])
+        warnings = [] if as_json else document["warnings"]
+        output.show(document, as_json, comparison_blocks(document), warnings)
         return
     if energies:
         with _iterations() as progress:
             choice = api.choose_energy(file, data=data, overrides=overrides, progress=progress)
-        output.show(choice.to_json(), as_json, energy_blocks)
+        document = choice.to_json()
+        output.show(document, as_json, energy_blocks(document))
         return
     with _iterations() as progress:
         calibrated = api.calibrate(
@@ -160,7 +141,7 @@ def calibrate(
     document = calibrated.to_json()
     if convention != "study":
         document["converted"] = vars(calibrated.converted(convention))
-    output.show(document, as_json, calibration_blocks)
+    output.show(document, as_json, calibration_blocks(document))
     if not as_json:
         names = ("calibration.json", "calibration.svg", "recording.svg")
         output.warn(document["warnings"])
@@ -172,13 +153,12 @@ def calibrate(
 
 def inspect(
     file: Annotated[Path, argument("Recorded file: text or workbook, also .gz.")],
-    sheet: Annotated[str, option("Sheet of a workbook that has several.")] = "",
+    sheet: Annotated[str, "Sheet of a workbook that has several."] = "",
     as_json: Json = False,
 ) -> None:
     r"""Show what a recorded file holds, and the table \[measurements] that reads it."""
-    from study import api
-
-    output.show(api.inspect(file, sheet=sheet), as_json, inspection_blocks)
+    inspection = api.inspect(file, sheet=sheet)
+    output.show(inspection, as_json, inspection_blocks(inspection))
 
 
 def inspection_blocks(inspection: Inspection) -> Iterator[Block]:
@@ -253,21 +233,19 @@ def converge(
     file: Annotated[
         Path | None, argument("Problem, design, or the results of a study.", output.studies)
     ] = None,
-    values: Annotated[str, option("Values of the quantity, with commas.")] = "",
-    sizes: Annotated[str, option("Mesh sizes of these values, with commas.")] = "",
-    formal_order: Annotated[float | None, option("Order that elements promise.")] = None,
-    tolerance: Annotated[float, option("Algebraic error of a value.")] = 0.0,
+    values: Annotated[str, "Values of the quantity, with commas."] = "",
+    sizes: Annotated[str, "Mesh sizes of these values, with commas."] = "",
+    formal_order: Annotated[float | None, "Order that elements promise."] = None,
+    tolerance: Annotated[float, "Algebraic error of a value."] = 0.0,
     data: Data = None,
-    jobs: Annotated[int | None, option("Workers for the cells of a design.")] = None,
-    memory: Annotated[float | None, option("MB that one solution may take.")] = None,
+    jobs: Annotated[int | None, "Workers for the cells of a design."] = None,
+    memory: Annotated[float | None, "MB that one solution may take."] = None,
     settings: Set = None,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
     as_json: Json = False,
 ) -> None:
     """Judge mesh convergence: observed order, extrapolated value, GCI, verdict."""
-    from study import api
-
     answer = api.converge(
         file,
         values=_numbers(values, "--values"),
@@ -286,7 +264,8 @@ def converge(
     cells = document.get("cells", [document])
     from study.reporting.output.convergence_page import series_blocks, series_warnings
 
-    output.show(document, as_json, series_blocks, [] if as_json else series_warnings(cells))
+    warnings = [] if as_json else series_warnings(cells)
+    output.show(document, as_json, series_blocks(document), warnings)
     if any(mesh["status"] != "converged" for cell in cells for mesh in cell.get("meshes", ())):
         raise typer.Exit(1)
 
@@ -309,11 +288,9 @@ def closed_form(
     file: Path, data: Path | None, settings: Sequence[str], results: Path, as_json: bool
 ) -> None:
     """Fit the moduli of a calibration file in closed form and show them."""
-    from study import api
-
     calibration = api.indentation_modulus(file, data=data, overrides=settings, results=results)
     warnings = [text for test in calibration.tests for text in test.warnings]
-    output.show(calibration, as_json, moduli_blocks, warnings)
+    output.show(calibration, as_json, moduli_blocks(calibration), warnings)
     if not as_json:
         folder = results / calibration.name
         print(f"written: {folder / 'analytic.json'}, {folder / 'moduli.csv'}")
@@ -382,20 +359,16 @@ def export(
     form: Annotated[
         str, option("What it becomes: force-law, emulator, abaqus or febio.", "--as")
     ] = "force-law",
-    case: Annotated[str, option("Case of a study: the beginning of its id.")] = "",
+    case: Annotated[str, "Case of a study: the beginning of its id."] = "",
     test: Annotated[int, option("Test of a calibration, from 1.", min=1)] = 1,
-    tolerance: Annotated[float, option("Wanted error bound over the largest force.")] = 0.002,
-    response: Annotated[
-        str | None, option("With --as emulator: one response; all by default.")
-    ] = None,
+    tolerance: Annotated[float, "Wanted error bound over the largest force."] = 0.002,
+    response: Annotated[Text, "With --as emulator: one response; all by default."] = None,
     settings: Set = None,
     reports: Reports = REPORTS,
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
     """Turn a test or surfaces into functions, or a material into input of Abaqus or FEBio."""
-    from study import api
-
     if form == "emulator":
         files = api.export_surface(source, response=response, out=reports, results=results)
     else:
@@ -403,9 +376,8 @@ def export(
             source, form=form, case=case, test=test, tolerance=tolerance,
             overrides=settings or (), out=reports, progress=_say,
         )  # fmt: skip
-    output.show(
-        files.document, as_json, lambda _: _files(files.sentences, *files.paths), files.warnings
-    )
+    blocks = _files(files.sentences, *files.paths)
+    output.show(files.document, as_json, blocks, files.warnings)
 
 
 def _files(lines: Iterable[str], *paths: Path | str | None) -> Iterator[Block]:
@@ -428,18 +400,12 @@ def require(
     as_json: Json = False,
 ) -> None:
     """Say how uncertain sensors make constants and force, and what they must be."""
-    from study import api
+    from study.reporting.output.laboratory_pages import errors
 
     answer = api.require(file, overrides=settings or (), jobs=jobs, out=reports, progress=_say)
-    output.show(answer, as_json, _requirement, answer.warnings)
-
-
-def _requirement(answer: SensorRequirement) -> Iterator[Block]:
-    from study.reporting.output import haptic_pages
-
-    yield from map(Sentence, answer.sentences())
-    yield haptic_pages.errors(answer)
-    yield Verbatim(f"report: {answer.report}")
+    page = Verbatim(f"report: {answer.report}")
+    blocks: list[Block] = [*map(Sentence, answer.sentences()), errors(answer), page]
+    output.show(answer, as_json, blocks, answer.warnings)
 
 
 # Verbs that compare with an instrument: tracking, shape.
@@ -452,38 +418,34 @@ def tracking(
     as_json: Json = False,
 ) -> None:
     """Judge a tracker: fixed distances, commanded displacements, a better instrument."""
-    from study import api
-    from study.reporting.output.accuracy_page import tracker_answers as answers
+    from study.reporting.output.laboratory_pages import tracker_answers
 
     accuracy = api.tracking(file, data=data, reports=reports)
-    shown = _files(answers(accuracy), accuracy.report)
-    output.show(accuracy, as_json, lambda _: shown, accuracy.notes)
+    blocks = _files(tracker_answers(accuracy), accuracy.report)
+    output.show(accuracy, as_json, blocks, accuracy.notes)
 
 
 def shape(
     simulation: Annotated[Path, argument("Problem file, VTU of study solve, or deformed surface.")],
-    scan: Annotated[Path, option("Scanned cloud or surface: PLY, STL, OBJ or CSV.")],
+    scan: Annotated[Path, "Scanned cloud or surface: PLY, STL, OBJ or CSV."],
     markers: Annotated[
-        Path | None, option("CSV of marked points: x, y, z, and x0, y0, z0 at rest.")
+        Path | None, "CSV of marked points: x, y, z, and x0, y0, z0 at rest."
     ] = None,
-    unit: Annotated[str, option("Unit of scan and markers.")] = "mm",
-    surface_unit: Annotated[str, option("Unit of a simulated surface file.")] = "mm",
-    as_it_lies: Annotated[bool, option("Compare without registration.", "--as-it-lies")] = False,
-    any_state: Annotated[
-        bool, option("Also a scan that another state fits better.", "--any-state")
-    ] = False,
+    unit: Annotated[str, "Unit of scan and markers."] = "mm",
+    surface_unit: Annotated[str, "Unit of a simulated surface file."] = "mm",
+    as_it_lies: Annotated[bool, "Compare without registration.", SWITCH] = False,
+    any_state: Annotated[bool, "Also a scan that another state fits better.", SWITCH] = False,
     settings: Set = None,
     reports: Reports = REPORTS,
     as_json: Json = False,
 ) -> None:
     """Compare a simulated, deformed body with a scan of the real one."""
-    from study import api
     from study.laboratory.shape.shape_deviation import ShapeOptions as Options
-    from study.reporting.output.accuracy_page import scan_answers as answers
+    from study.reporting.output.laboratory_pages import scan_answers
 
     deviation = api.shape(
         simulation, scan, markers=markers, unit=unit, surface_unit=surface_unit,
         options=Options(not as_it_lies, any_state), overrides=settings or (), reports=reports,
     )  # fmt: skip
-    words = answers(deviation)
-    output.show(deviation, as_json, lambda _: _files(words, deviation.report), deviation.notes)
+    blocks = _files(scan_answers(deviation), deviation.report)
+    output.show(deviation, as_json, blocks, deviation.notes)

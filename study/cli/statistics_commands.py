@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from study import api
 from study.cli import output
-from study.cli.output import argument, option
+from study.cli.output import Text, argument, option
 from study.cli.study_commands import (
     RESULTS,
     Commands,
@@ -25,7 +26,7 @@ from study.cli.study_commands import (
 )
 from study.ground.errors import Fault, InputError
 from study.ground.units import listed
-from study.reporting.content.blocks import Sentence, Table
+from study.reporting.content.blocks import Block, Sentence, Table
 from study.reporting.content.text import TIMES, interval, p_value, ratio_digits, significant
 from study.reporting.output.terminal import say
 
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from study.api.analyzing import MixedOptions
     from study.api.contrast_power import ContrastDetection, Power
     from study.api.predicting import Permission
-    from study.reporting.content.blocks import Block
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Comparison
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
 #: Flags as they were given; what was not given is None or empty.
 Flags = Mapping[str, str | None]
 
-Decimal = Annotated[str, option("Decimal mark of a CSV: . or ,")]
-Numeric = Annotated[str, option("Columns of numeric factors: time,temp or 'time=80..90,temp log'.")]
-Surface = Annotated[str, option("With --numeric: auto, quadratic, emulator, none.")]
+Decimal = Annotated[str, "Decimal mark of a CSV: . or ,"]
+Numeric = Annotated[str, "Columns of numeric factors: time,temp or 'time=80..90,temp log'."]
+Surface = Annotated[str, "With --numeric: auto, quadratic, emulator, none."]
 
 
 def analyze(
@@ -55,75 +55,51 @@ def analyze(
         Path, argument("Results of a study, or any tidy CSV.", output.studies_and_tables)
     ],
     formula: Annotated[
-        str | None,
+        Text,
         typer.Argument(
             metavar="FORMULA", help="'len ~ supp * dose': response, factors and model in one."
         ),
     ] = None,
-    response: Annotated[str | None, option("Column of the response.")] = None,
-    factors: Annotated[str, option("Columns of the factors, with commas.")] = "",
-    block: Annotated[
-        str | None, option("Column of the blocks; two with a comma that cross.")
-    ] = None,
-    unit: Annotated[
-        str | None, option("Column of the unit (specimen) that rows are repeats on.")
-    ] = None,
-    whole_plot: Annotated[
-        str | None, option("Factors that are set once for a whole plot of a block.")
-    ] = None,
-    replicates: Annotated[
-        str | None, option("What repeats of a cell are: runs, mesh-seeds, noise.")
-    ] = None,
-    copies: Annotated[
-        str | None, option("Rows that repeat others in every digit: refuse, independent.")
-    ] = None,
+    response: Annotated[Text, "Column of the response."] = None,
+    factors: Annotated[str, "Columns of the factors, with commas."] = "",
+    block: Annotated[Text, "Column of the blocks; two with a comma that cross."] = None,
+    unit: Annotated[Text, "Column of the unit (specimen) that rows are repeats on."] = None,
+    whole_plot: Annotated[Text, "Factors that are set once for a whole plot of a block."] = None,
+    replicates: Annotated[Text, "What repeats of a cell are: runs, mesh-seeds, noise."] = None,
+    copies: Annotated[Text, "Rows that repeat others in every digit: refuse, independent."] = None,
     error: Annotated[
-        str | None, option("auto, pooled, own, or reml: a mixed model, also for incomplete blocks.")
+        Text, "auto, pooled, own, or reml: a mixed model, also for incomplete blocks."
     ] = None,
-    welch: Annotated[
-        bool, option("A variance of its own for each cell: Welch, Games and Howell.")
-    ] = False,
-    kind: Annotated[str | None, option("Sums of squares: I, II, III.", "--type")] = None,
+    welch: Annotated[bool, "A variance of its own for each cell: Welch, Games and Howell."] = False,
+    kind: Annotated[Text, option("Sums of squares: I, II, III.", "--type")] = None,
     model: Annotated[
-        str | None, option("full, the highest order of interaction, or terms with commas: A,B,A:B.")
+        Text, "full, the highest order of interaction, or terms with commas: A,B,A:B."
     ] = None,
-    practical: Annotated[
-        str | None, option("Smallest difference that matters: '5 % of mean'.")
-    ] = None,
-    transform: Annotated[str | None, option("none or log.")] = None,
-    alpha: Annotated[
-        float | None, option("Size of the tests; intervals have the level 1 - alpha.")
-    ] = None,
+    practical: Annotated[Text, "Smallest difference that matters: '5 % of mean'."] = None,
+    transform: Annotated[Text, "none or log."] = None,
+    alpha: Annotated[float | None, "Size of the tests; intervals have the level 1 - alpha."] = None,
     decimal: Decimal = ".",
-    sheet: Annotated[str, option("Sheet of a workbook that has several.")] = "",
-    reference: Annotated[
-        str | None, option("Level that the others are compared with (Dunnett).")
-    ] = None,
-    report: Annotated[
-        Path | None, option("Write the page, its figures and CSV here.", "--report")
-    ] = None,
+    sheet: Annotated[str, "Sheet of a workbook that has several."] = "",
+    reference: Annotated[Text, "Level that the others are compared with (Dunnett)."] = None,
+    report: Annotated[Path | None, "Write the page, its figures and CSV here."] = None,
     formats: Annotated[
         str, option("With --report: html, pdf, tex, csv, with commas.", "--format")
     ] = "",
     numeric: Numeric = "",
     surface: Surface = "auto",
-    random: Annotated[
-        str, option("With --error reml: factors whose effect differs between blocks.")
-    ] = "",
-    covariates: Annotated[str, option("Columns of numbers that the response follows.")] = "",
+    random: Annotated[str, "With --error reml: factors whose effect differs between blocks."] = "",
+    covariates: Annotated[str, "Columns of numbers that the response follows."] = "",
     contrast: Annotated[
         list[str] | None,
-        option("A difference of your own: 'model=stiff - model=soft'; repeatable.", "--contrast"),
+        "A difference of your own: 'model=stiff - model=soft'; repeatable.",
     ] = None,
     summary: Annotated[
-        str, option("Columns of mean, standard deviation and number: each row is a group.")
+        str, "Columns of mean, standard deviation and number: each row is a group."
     ] = "",
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
     """Analyze a study's results, or any CSV with one row a run."""
-    from study import api
-
     if welch and error:
         raise InputError(Fault("--welch", f"is an error of its own, beside --error {error}"))
     error = "welch" if welch else error
@@ -156,7 +132,16 @@ def analyze(
         rule = "is read with an analysis of variance of labeled factors alone"
         raise InputError(Fault("--sheet", rule, "save the sheet as CSV"))
     if summary:
-        _show_moments(source, listed(summary), flags | {"--numeric": numeric}, alpha, as_json)
+        refuse_useless(
+            flags | {"--numeric": numeric}, _OF_MOMENTS, "groups of which only moments are known"
+        )
+        from study.api.analyzing import analyze_summary
+
+        groups = analyze_summary(
+            source, listed(flags["--factors"]), listed(summary), practical=flags["--practical"],
+            alpha=0.05 if alpha is None else alpha, decimal=flags["--decimal"] or ".",
+        )  # fmt: skip
+        output.show(groups, as_json, _summaries(groups))
         return
     if numeric and surface != "none":
         _show_surfaces(source, listed(numeric), surface, flags, as_json)
@@ -240,7 +225,6 @@ def _show_surfaces(
     as_json: bool,
 ) -> None:
     """Fit a surface and print it."""
-    from study import api
     from study.reporting.content import surface_content
     from study.reporting.output.analysis_page import AnalysisSource, check_taken, surface_data
     from study.reporting.output.write import write
@@ -327,26 +311,11 @@ def _show_mixed(
     alpha = options.get("alpha", 0.05)
     document = {"method": "REML", "alpha": alpha, **vars(model)}
     response = flags["--response"] or ""
-    blocks = analysis_content.mixed_blocks
-    output.show(document, as_json, lambda _: blocks(model, response, alpha))
+    output.show(document, as_json, analysis_content.mixed_blocks(model, response, alpha))
 
 
 #: flags that groups of which only moments are known have a use for; a format has a default
 _OF_MOMENTS = {"--factors", "--practical", "--alpha", "--decimal", "--format"}
-
-
-def _show_moments(
-    source: Path, columns: Sequence[str], flags: Flags, alpha: float | None, as_json: bool
-) -> None:
-    """Compare groups of which mean, standard deviation and number of rows are known."""
-    refuse_useless(flags, _OF_MOMENTS, "groups of which only moments are known")
-    from study.api.analyzing import analyze_summary
-
-    groups = analyze_summary(
-        source, listed(flags["--factors"]), columns, practical=flags["--practical"],
-        alpha=0.05 if alpha is None else alpha, decimal=flags["--decimal"] or ".",
-    )  # fmt: skip
-    output.show(groups, as_json, _summaries)
 
 
 def _summaries(groups: SummaryAnalysis) -> Iterator[Block]:
@@ -413,10 +382,8 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
         raise InputError(Fault("--report", f"{report} is a file", "name a folder"))
 
 
-At = Annotated[
-    list[str] | None, option("Settings that are held: thickness='3 mm',plates=bonded.", "--at")
-]
-Confirm = Annotated[bool, option("Run the true model there; the run joins the study's surfaces.")]
+At = Annotated[list[str] | None, "Settings that are held: thickness='3 mm',plates=bonded."]
+Confirm = Annotated[bool, "Run the true model there; the run joins the study's surfaces."]
 
 
 def optimize(
@@ -426,10 +393,10 @@ def optimize(
             "Results folder, design file, study name; or a tidy CSV.", output.studies_and_tables
         ),
     ],
-    minimize: Annotated[str | None, option("Response that is to be small.")] = None,
-    maximize: Annotated[str | None, option("Response that is to be large.")] = None,
+    minimize: Annotated[Text, "Response that is to be small."] = None,
+    maximize: Annotated[Text, "Response that is to be large."] = None,
     subject_to: Annotated[
-        list[str] | None, option("Limit of another response: 'stiffness >= 0.3 N/mm'; repeatable.")
+        list[str] | None, "Limit of another response: 'stiffness >= 0.3 N/mm'; repeatable."
     ] = None,
     at: At = None,
     numeric: Numeric = "",
@@ -442,7 +409,6 @@ def optimize(
     as_json: Json = False,
 ) -> None:
     """Find the best setting among choices, within limits, and confirm it by a run."""
-    from study import api
     from study.reporting.content import surface_content
 
     recommendations = api.optimize(
@@ -453,24 +419,19 @@ def optimize(
     )  # fmt: skip
     notes = [note for recommended in recommendations for note in recommended.notes]
     document = {"recommendations": [recommended.to_json() for recommended in recommendations]}
-    blocks = surface_content.recommendation_blocks
-    output.show(document, as_json, lambda _: blocks(recommendations), notes)
-    if any(
-        recommended.confirmed is not None and not recommended.confirmed.predicted
-        for recommended in recommendations
-    ):
+    output.show(document, as_json, surface_content.recommendation_blocks(recommendations), notes)
+    confirmed = [recommended.confirmed for recommended in recommendations]
+    if any(run is not None and not run.predicted for run in confirmed):
         raise typer.Exit(1)
 
 
 def invert(
     path: Study,
-    to: Annotated[Path, option("CSV of the measured curve, one row a point.")],
+    to: Annotated[Path, "CSV of the measured curve, one row a point."],
     at: At = None,
-    columns: Annotated[
-        str, option("Columns of displacement and force.")
-    ] = "displacement_mm,force_N",
-    units: Annotated[str, option("Their units.")] = "mm,N",
-    within: Annotated[str | None, option("What an agreeing curve may miss, rms: '2 %'.")] = None,
+    columns: Annotated[str, "Columns of displacement and force."] = "displacement_mm,force_N",
+    units: Annotated[str, "Their units."] = "mm,N",
+    within: Annotated[Text, "What an agreeing curve may miss, rms: '2 %'."] = None,
     decimal: Decimal = ".",
     confirm: Confirm = True,
     data: Data = None,
@@ -479,7 +440,6 @@ def invert(
     as_json: Json = False,
 ) -> None:
     """Find all inputs of a study whose curve agrees with a measured one."""
-    from study import api
     from study.reporting.content import surface_content
 
     answer = api.invert(
@@ -487,7 +447,7 @@ def invert(
         in_units=listed(units), within=within, decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
-    output.show(answer, as_json, surface_content.inversion_blocks, answer.notes)
+    output.show(answer, as_json, surface_content.inversion_blocks(answer), answer.notes)
     if answer.best_run is not None and not answer.best_run.agrees:
         raise typer.Exit(1)
 
@@ -515,8 +475,8 @@ def _model(text: str | None) -> str | int | list[str] | None:
 def power(
     design: Design,
     sd: Annotated[
-        str | None,
-        option("Scatter of a difference between specimens: 0.4, or by response peak=0.1,mu0=0.02."),
+        Text,
+        "Scatter of a difference between specimens: 0.4, or by response peak=0.1,mu0=0.02.",
     ] = None,
     data: Data = None,
     settings: Set = None,
@@ -524,11 +484,9 @@ def power(
     as_json: Json = False,
 ) -> None:
     """Say how many specimens a claim needs, and what they cost."""
-    from study import api
-
     scatter = None if sd is None else _scatter(sd)
     answer = api.power(design, sd=scatter, data=data, results=results, overrides=settings or ())
-    output.show(answer, as_json, _power, answer.warnings)
+    output.show(answer, as_json, _power(answer), answer.warnings)
 
 
 def _scatter(text: str) -> float | dict[str, float]:

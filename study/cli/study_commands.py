@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from study import api
 from study.cli import output
-from study.cli.output import argument, option
+from study.cli.output import SWITCH, Text, argument, option
 from study.ground.errors import Fault, InputError
 from study.ground.units import listed
-from study.reporting.content.blocks import Sentence, Table, Verbatim
-from study.reporting.content.text import case_counts, general
+from study.reporting.content.blocks import Block, Document, Sentence, Table, Verbatim
+from study.reporting.content.text import case_counts, count, general
 from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
@@ -22,19 +24,17 @@ if TYPE_CHECKING:
     from study.api.opened_study import Study as OpenedStudy
     from study.api.planning import Plan
     from study.harness.design.overview import Augmentation, CellOverview, Overview
-    from study.harness.design.spec import Scheme
-    from study.reporting.content.blocks import Block, Document
 
 
 Json = Annotated[bool, option("One JSON document on stdout.", "--json")]
-Data = Annotated[Path | None, option("Folder that measurement files are relative to.", "--data")]
+Data = Annotated[Path | None, "Folder that measurement files are relative to."]
 Set = Annotated[list[str] | None, option("Override a key: model.mesh_size='2 mm'.", "-s", "--set")]
 Design = Annotated[Path, argument("Design file.", output.designs)]
 Study = Annotated[Path, argument("Results folder, design file or study name.", output.studies)]
 Jobs = Annotated[int | None, option("Workers; one a core.", "--jobs", "-j", min=1)]
-Results = Annotated[Path, option("Where results are kept.", "--results")]
-Reports = Annotated[Path, option("Where reports are written.", "--reports")]
-Commands = Annotated[bool, option("Let the study run the programs it names.", "--allow-commands")]
+Results = Annotated[Path, "Where results are kept."]
+Reports = Annotated[Path, "Where reports are written."]
+Commands = Annotated[bool, "Let the study run the programs it names.", SWITCH]
 #: levels of a factor beyond which a plan lists the ends only
 MANY = 6
 #: rows of a matrix that are looked at on a terminal; of a longer one the first stand for the rest
@@ -60,8 +60,6 @@ def demo(
     jobs: Jobs = None, results: Results = RESULTS, reports: Reports = REPORTS, as_json: Json = False
 ) -> None:
     """Run a complete small study on built-in virtual specimens."""
-    from study import api
-
     with output.progress_line() as progress:
         study = api.demo(results=results, reports=reports, jobs=jobs, progress=progress)
     _finish(study, as_json, _folders(results, reports))
@@ -73,20 +71,15 @@ def plan(
     jobs: Jobs = None,
     settings: Set = None,
     results: Results = RESULTS,
-    run_sheet: Annotated[
-        Path | None, option("CSV to write: physical trials in random order.")
-    ] = None,
+    run_sheet: Annotated[Path | None, "CSV to write: physical trials in random order."] = None,
     specimens: Annotated[int, option("Specimens of the run sheet, measured once each.", min=1)] = 6,
     augment: Annotated[
         int | None, option("Name so many further cells of a fraction.", min=1)
     ] = None,
-    terms: Annotated[
-        str, option("With --augment: order of interaction, or terms with commas.")
-    ] = "2",
+    terms: Annotated[str, "With --augment: order of interaction, or terms with commas."] = "2",
     as_json: Json = False,
 ) -> None:
     """Print the matrix before running: cases, exclusions, cost, what factors can tell."""
-    from study import api
     from study.harness.design.load import load
 
     if run_sheet is not None:
@@ -109,17 +102,6 @@ def plan(
     if further is not None:
         say(_further(further))
     output.next_step(*after)
-
-
-def _scheme(scheme: Scheme) -> Iterator[Block]:
-    """Say what the choice of cells can and cannot tell."""
-    if not scheme.summary:
-        return
-    yield Verbatim(scheme.summary)
-    if scheme.defining_relation:
-        yield Verbatim(f"defining relation: {scheme.defining_relation}")
-    yield from (Verbatim(f"  {sentence}") for sentence in scheme.aliases)
-    yield Verbatim("")
 
 
 def _overview(overview: Overview) -> Iterator[Block]:
@@ -145,7 +127,12 @@ def _overview(overview: Overview) -> Iterator[Block]:
         yield Verbatim("cells with the same number of a computation must agree: they are controls")
     yield from (Verbatim(f"excluded: {cell.label}: {why}") for cell, why in overview.excluded)
     yield Verbatim("")
-    yield from _scheme(overview.design.scheme)
+    if (scheme := overview.design.scheme).summary:  # what the choice of cells can and cannot tell
+        yield Verbatim(scheme.summary)
+        if scheme.defining_relation:
+            yield Verbatim(f"defining relation: {scheme.defining_relation}")
+        yield from (Verbatim(f"  {sentence}") for sentence in scheme.aliases)
+        yield Verbatim("")
     for factor in overview.factors:
         levels = factor.levels
         if len(levels) > MANY:
@@ -155,8 +142,6 @@ def _overview(overview: Overview) -> Iterator[Block]:
 
 def _plan(planned: Plan) -> Iterator[Block]:
     """Cells, costs and what is left to be done."""
-    from study.reporting.content.text import count
-
     yield from _overview(planned.overview)
     yield Verbatim("")
     if planned.blocks:
@@ -209,31 +194,23 @@ def run(
     settings: Set = None,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
-    timeout: Annotated[
-        float | None, option("Seconds after which one computation is stopped.")
-    ] = None,
+    timeout: Annotated[float | None, "Seconds after which one computation is stopped."] = None,
     refine: Annotated[
-        bool, option("Refine the mesh under one block for the numerical uncertainty.")
+        bool, "Refine the mesh under one block for the numerical uncertainty."
     ] = True,
     allow_commands: Commands = False,
-    allow_digest: Annotated[
-        str, option("Let it run these alone: the digest that study plan prints.")
-    ] = "",
-    stale: Annotated[
-        str, option("Results of other libraries: warn, refuse, or rerun them.")
-    ] = "warn",
-    memory: Annotated[str | None, option("Memory that may be in use at once: '20 GB'.")] = None,
+    allow_digest: Annotated[str, "Let it run these alone: the digest that study plan prints."] = "",
+    stale: Annotated[str, "Results of other libraries: warn, refuse, or rerun them."] = "warn",
+    memory: Annotated[Text, "Memory that may be in use at once: '20 GB'."] = None,
     scheduler: Annotated[
-        str, option("Compute on a Dask cluster: its address, or its scheduler file.")
+        str, "Compute on a Dask cluster: its address, or its scheduler file."
     ] = "",
     confirm: Annotated[
-        bool, option("Run the extremes that confirm verdicts over numbers.", "--confirm")
+        bool, "Run the extremes that confirm verdicts over numbers.", SWITCH
     ] = False,
     as_json: Json = False,
 ) -> None:
     """Compute what is missing, then analyze and report; run it again to resume."""
-    from study import api
-
     with output.progress_line() as progress:
         study = api.run(
             design, data=data, jobs=jobs, results=results, reports=reports,
@@ -246,27 +223,21 @@ def run(
 
 def import_(
     file: Annotated[Path, argument("CSV or workbook, one row a run.")],
-    responses: Annotated[str, option("Columns of the responses: peak=N,work.")],
-    factors: Annotated[str, option("Columns of the factors, with commas.")] = "",
+    responses: Annotated[str, "Columns of the responses: peak=N,work."],
+    factors: Annotated[str, "Columns of the factors, with commas."] = "",
     numeric: Annotated[
-        str, option("Columns of factors that are numbers over a range: speed,temp log.")
+        str, "Columns of factors that are numbers over a range: speed,temp log."
     ] = "",
-    failed: Annotated[
-        str | None, option("Column that says which runs have no answer, and why.")
-    ] = None,
-    block: Annotated[str | None, option("Column of the unit that was replicated.")] = None,
-    name: Annotated[str | None, option("Name of the study; that of the file.")] = None,
-    decimal: Annotated[str, option("Mark of decimals.")] = ".",
-    practical: Annotated[
-        str, option("Smallest difference that matters: peak=1 N,work=5 % of mean.")
-    ] = "",
+    failed: Annotated[Text, "Column that says which runs have no answer, and why."] = None,
+    block: Annotated[Text, "Column of the unit that was replicated."] = None,
+    name: Annotated[Text, "Name of the study; that of the file."] = None,
+    decimal: Annotated[str, "Mark of decimals."] = ".",
+    practical: Annotated[str, "Smallest difference that matters: peak=1 N,work=5 % of mean."] = "",
     results: Results = RESULTS,
     reports: Reports = REPORTS,
     as_json: Json = False,
 ) -> None:
     """Make a study of runs that were made elsewhere, and report it."""
-    from study import api
-
     imported = api.import_runs(
         file, factors, responses, failed=failed, block=block, name=name, decimal=decimal,
         practical=practical, results=results, numeric=numeric,
@@ -284,16 +255,14 @@ def status(
     as_json: Json = False,
 ) -> None:
     """Print the progress of a study, from another shell too."""
-    from study import api
-
     state = api.status(path, results=results, judged=as_json)
-    output.show(state, as_json, _status, state["warnings"])
+    output.show(state, as_json, _status(state), state["warnings"])
 
 
 def _status(state: Document) -> Iterator[Block]:
     yield Verbatim(f"{state['study']}: {case_counts(state['cases'])}")
-    for name, count in sorted(state["failures"].items()):
-        yield Verbatim(f"  {count} {name}")
+    for name, number in sorted(state["failures"].items()):
+        yield Verbatim(f"  {number} {name}")
     if (later := state["unfinished"]) is not None:
         cases = case_counts(later["cases"])
         yield Verbatim(f"  that is its last finished run; a later one has {cases}")
@@ -314,16 +283,12 @@ def report(
     formats: Annotated[
         str, option("html, pdf, tex, csv: one or several with commas.", "--format")
     ] = "",
-    beside: Annotated[
-        Path | None, option("Another study: say which conclusions hold in both.")
-    ] = None,
+    beside: Annotated[Path | None, "Another study: say which conclusions hold in both."] = None,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
     as_json: Json = False,
 ) -> None:
     """Write the report again from stored records, in seconds."""
-    from study import api
-
     written_study = api.report(
         path, reports=reports, results=results, formats=listed(formats), beside=beside
     )
@@ -339,32 +304,27 @@ def diff(
     as_json: Json = False,
 ) -> None:
     """Compare two studies: what was changed, and which conclusions hold under both."""
-    from study import api
     from study.reporting.content.comparison_content import beside_blocks
 
     comparison = api.diff(first, second, results=results)
     shown = replace(comparison.beside, warnings=())  # they are on stderr
-    output.show(comparison, as_json, lambda _: beside_blocks(shown), comparison.warnings)
+    output.show(comparison, as_json, beside_blocks(shown), comparison.warnings)
 
 
 def why(
     case: Annotated[str, argument("Case id, or its beginning.", output.cases)],
     study: Annotated[
-        Path | None, option("Study to look in; all by default. A design file counts as it is now.")
+        Path | None, "Study to look in; all by default. A design file counts as it is now."
     ] = None,
     data: Data = None,
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
     """Explain the state of a case, and what changed since it was computed."""
-    import json
-
-    from study import api
-
     state = api.explain(case, study=study, results=results, data=data)
     facts = {"use": state.use, "changes": state.changes, "libraries": state.libraries}
     whole = json.loads(state.record.to_json())["content"] | {"state": facts}
-    output.show(whole, as_json, lambda _: _case(state))
+    output.show(whole, as_json, _case(state))
 
 
 def _case(state: CaseState) -> Iterator[Block]:
@@ -401,19 +361,18 @@ def _case(state: CaseState) -> Iterator[Block]:
 
 def predict(
     path: Study,
-    at: Annotated[list[str], option("Setting of every factor: thickness='3 mm',C10='5 kPa'.")],
-    response: Annotated[str | None, option("One response; all by default.")] = None,
+    at: Annotated[list[str], "Setting of every factor: thickness='3 mm',C10='5 kPa'."],
+    response: Annotated[Text, "One response; all by default."] = None,
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
     """Predict responses at settings that were not run, inside those that were."""
-    from study import api
     from study.reporting.content.surface_content import prediction_blocks
 
     predictions = api.predict(path, settings(at), response=response, results=results)
     document = {"predictions": [prediction.to_json() for prediction in predictions]}
     notes = [note for prediction in predictions for note in prediction.notes]
-    output.show(document, as_json, lambda _: prediction_blocks(predictions), notes)
+    output.show(document, as_json, prediction_blocks(predictions), notes)
 
 
 def _folders(results: Path, reports: Path) -> output.Options:
@@ -428,7 +387,7 @@ def _finish(study: OpenedStudy, as_json: bool, typed: output.Options) -> None:
     """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
     after = output.after_run(study, typed)
     document = study.to_json() | {"next": after[1]}
-    output.show(document, as_json, lambda _: study.blocks(), study.warnings)
+    output.show(document, as_json, study.blocks(), study.warnings)
     if not as_json:
         output.next_step(*after)
     if study.failed or study.report is None:
@@ -447,9 +406,7 @@ def verify(
     data: Data = None,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
-    allow_commands: Annotated[
-        bool, option("Let --resolve run programs.", "--allow-commands")
-    ] = False,
+    allow_commands: Annotated[bool, "Let --resolve run programs.", SWITCH] = False,
     tolerance: Annotated[
         float | None,
         option(
@@ -461,11 +418,9 @@ def verify(
     as_json: Json = False,
 ) -> None:
     """Compute every number of a report again from its records; exit 1 if one differs."""
-    from study import api
-
     verification = api.verify(
         path, results=results, reports=reports, resolve=resolve, seed=seed, data=data,
         allow_commands=allow_commands, tolerance=tolerance,
     )  # fmt: skip
-    output.show(verification, as_json, lambda verified: verified.blocks())
+    output.show(verification, as_json, verification.blocks())
     raise typer.Exit(0 if verification.agrees else 1)

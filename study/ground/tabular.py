@@ -38,7 +38,10 @@ MAX_FAULTS = 20
 MAX_LABEL = 200
 DELIMITERS = ",;\t|"
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?", re.ASCII)
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d{1,4})?", re.ASCII)
+#: 12,5, and 1.250,61 with points between groups of three digits
+_DECIMAL_COMMA = re.compile(
+    r"[+-]?(?:\d*|[1-9]\d{0,2}(?:\.\d{3})+),\d+(?:[eE][+-]?\d{1,4})?", re.ASCII
+)
 _THOUSANDS = "'\u2019 \u00a0\u2009\u202f"
 #: a number in groups of three digits: the mark between them is the first group
 _GROUPS = {

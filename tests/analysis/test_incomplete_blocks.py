@@ -101,28 +101,24 @@ def test_a_contrast_by_name_is_that_of_the_mixed_model():
     assert contrast.ci == pytest.approx(effect.ci95, rel=1e-9)
 
 
-def sandwich(y, code, layout):
-    fixed = factor(model_matrix(layout, [("a",)]), y)
-    return Sandwich(fit_restricted(fixed.q, y, [code]), fixed, y, code)
-
-
 def test_of_complete_blocks_the_sandwich_is_the_paired_difference():
     """One level scatters five times as much as the others; epsilon is Greenhouse and Geisser's."""
     random = np.random.default_rng(9)
     values = random.normal(0, 1, (8, 1)) + random.normal(0, 1, (8, 4)) * [0.3, 0.3, 0.3, 1.5]
     code, cell = np.divmod(np.arange(32), 4)
     layout = Layout({"a": tuple("wxyz")}, {"a": cell})
-    robust = sandwich(values.ravel(), code, layout)
+    fixed = factor(model_matrix(layout, [("a",)]), values.ravel())
+    robust = Sandwich(fit_restricted(fixed.q, values.ravel(), [code]), code)
     pairs = list(combinations(range(4), 2))
     columns = model_matrix(Layout(layout.levels, {"a": np.arange(4)}), [("a",)]).columns
-    rows = np.array([columns[i] - columns[j] for i, j in pairs]) @ robust.fixed.inverse
+    rows = np.array([columns[i] - columns[j] for i, j in pairs]) @ fixed.inverse
     error, df = robust.errors(rows)
     paired = [stats.sem(values[:, i] - values[:, j]) for i, j in pairs]
     assert error == pytest.approx(paired, rel=1e-9)
     assert df == pytest.approx(np.full(6, 7.0), rel=1e-9)
     table = pd.DataFrame({"s": code, "a": cell, "y": values.ravel()})
     row = study.anova(table, "y", ["a"], block="s", exact=False).anova.row("a")
-    epsilon, p = robust.test(robust.fixed.space(1, "III").basis)
+    epsilon, p = robust.test(fixed.space(1, "III").basis)
     assert (epsilon, p) == pytest.approx((row.epsilon_gg, row.p_gg), rel=1e-9)
 
 

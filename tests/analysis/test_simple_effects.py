@@ -23,6 +23,7 @@ from study.statistics.analysis.post_hoc import dunnett_over_groups
 from study.statistics.analysis.simple_effects import (
     MATTERS,
     NO_DIFFERENCE,
+    Confidence,
     simple_effects,
 )
 from study.statistics.analysis.sums_of_squares import factor as fitted
@@ -56,8 +57,8 @@ def judged(layout, y, factor, practical):
     """Simple effects of a factor as a study with blocks judges them."""
     fit = factor_model(layout, y)
     added = np.linalg.pinv(fit.matrix.columns) @ (y - y[0, 0]) / y.shape[1]
-    sample = over_groups(fit, added, [np.arange(y.shape[1])], 0.05, 1)
-    found = simple_effects(factor, layout, fit.matrix, sample, practical, None)
+    sample = over_groups(fit, added, [np.arange(y.shape[1])], Confidence(0.05, 1))
+    found = simple_effects(factor, fit.matrix, sample, practical, None)
     assert found is not None
     return found
 
@@ -85,7 +86,9 @@ def test_without_interactions_every_factor_may_be_chosen():
 def of_blocks(contrasts):
     """Multiplier of contrasts over blocks of one group; shape (m, b)."""
     m, b = contrasts.shape
-    return float(block_multiplier(contrasts, 0.05, 1, [np.arange(b)], np.full(m, b - 1.0))[0])
+    return float(
+        block_multiplier(contrasts, [np.arange(b)], np.full(m, b - 1.0), Confidence(0.05, 1))[0]
+    )
 
 
 @given(st.integers(0, 1000), st.integers(2, 6), st.integers(5, 9))
@@ -118,7 +121,7 @@ def test_levels_against_a_reference_in_blocks():
         name: (mean + block + 0.1 * rng.standard_normal(8)) / 8
         for name, mean in {"none": 0.0, "same": 0.0, "far": 1.0}.items()
     }
-    found = dunnett_over_groups(levels, "none", [np.arange(8)], "", 0.05, 2011)
+    found = dunnett_over_groups(levels, "none", [np.arange(8)], "", Confidence(0.05, 2011))
     same, far = found.pairs
     assert same.lower < 0 < same.upper
     assert far.lower > 0

@@ -8,10 +8,9 @@ import pytest
 from scipy.stats import qmc
 
 from study.api import optimizing
-from study.statistics.surfaces import surface_inversion, surface_optimum
+from study.statistics.surfaces import surface_optimum
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
-from study.statistics.surfaces.surface_inversion import NearestCurves, agreeing
-from study.statistics.surfaces.surface_profile import fit_curves
+from study.statistics.surfaces.surface_optimum import NearestCurves, agreeing, fit_curves
 from tests.cli.small import refusal, study, success
 from tests.cli.test_numeric_factors import DESIGN, _force
 from tests.response_surface.functions import hypercube
@@ -212,9 +211,9 @@ def test_a_set_is_told_where_only_a_product_is_determined(runs):
 def test_an_inversion_that_has_not_settled_says_so(monkeypatch):
     asked = ("invert", "ranges", "--to", "m.csv", "--at", KNOWN)
     with monkeypatch.context() as patch:
-        patch.setattr(surface_inversion, "EVALUATIONS", 1)
-        patch.setattr(surface_inversion, "SEARCHES", 1)
-        patch.setattr(surface_inversion, "NEGLIGIBLE", -1.0)
+        patch.setattr(surface_optimum, "EVALUATIONS", 1)
+        patch.setattr(surface_optimum, "SEARCHES", 1)
+        patch.setattr(surface_optimum, "NEGLIGIBLE", -1.0)
         answer = study(*asked)
         assert answer.code == 3
         assert "nearest to the measured one: the search has not converged" in answer.err

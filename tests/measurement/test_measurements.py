@@ -235,6 +235,7 @@ BAD = {
     "hex": (LINE.replace("2,4", "2,0x4"), "got '0x4'"),
     "ragged": (LINE.replace("2,4", "2,4,5"), "a.csv:4: has 3 cells where the header has 2"),
     "decimal comma": ("d;f\n0,0;0,0\n1,5;2,0\n", "decimal comma"),
+    "decimal comma below thousands": ("d;f\n0;1.250,61\n1;2.400,00\n", "holds a decimal comma"),
     "decimal comma in commas": ("d,f\n0,0,0,0\n1,5,2,0\n", "looks like a decimal comma"),
     "late decimal comma": ("d;f\n0;0\n1,5;2,0\n2;4\n3;6\n", "must be declared"),
     "too short": ("d,f\n0,0\n1,2\n2,4\n3,6\n", "ends at 3 mm, the range asks for 4 mm"),

@@ -101,12 +101,12 @@ def test_series_without_an_order_are_drawn_without_a_fit(order):
 
 
 def test_the_caption_says_how_many_converge():
-    text = convergence.value_caption([cell(1.2), cell(-1.0, error=1.0)])
+    text = convergence.value_caption([cell(1.2), cell(-1.0, error=1.0)], None)
     assert text.startswith("1 of 2 series have an interval")
     assert "line and diamond" in text
-    without = convergence.value_caption([cell(-1.0, error=1.0)])
+    without = convergence.value_caption([cell(-1.0, error=1.0)], None)
     assert without == "0 of 1 series have an interval. Points: meshes."  # nothing else is drawn
-    assert convergence.error_caption([cell(-1.0)]) == "No series has an order."
+    assert convergence.error_caption([cell(-1.0)], None) == "No series has an order."
 
 
 def comparison(label, error):
@@ -122,9 +122,9 @@ def test_validation_is_drawn_and_tabled():
     assert len(frame) == 12
     np.testing.assert_allclose(frame["u_val_N"], frame["displacement_mm"] * np.hypot(0.02, 0.01))
     unknown = {**rows[0], "u_val_N": [0.0] * len(rows[0]["u_val_N"])}
-    beside = convergence.caption([*rows, unknown])
+    beside = convergence.validation_caption([*rows, unknown], None)
     assert "; 1 cell without a known one" in beside  # nothing is judged by an uncertainty of zero
-    text = convergence.caption(rows)
+    text = convergence.validation_caption(rows, None)
     assert beside.split(" cells")[0] == text.split(" cells")[0]
     assert "in 1 of 2 cells (block M1)" in text
     assert "Not known, and so left out: data." in text
@@ -132,7 +132,7 @@ def test_validation_is_drawn_and_tabled():
     assert table.rows[0][2] == "0.500"
     assert table.rows[0][-1].startswith("the model is off by E = 0.5 N +- 0.11 N")
     assert "within u_val" in table.rows[1][-1]
-    svg = axes.render(lambda: convergence.draw_validation_errors(frame), "v", "v")
+    svg = axes.render(lambda: convergence.draw_validation_errors([], frame), "v", "v")
     assert "<b>" not in svg
 
 
@@ -176,7 +176,7 @@ def test_a_warning_names_its_series_where_there_are_several():
 
 def test_no_two_of_nine_series_look_alike():
     cells = [cell(1.2, f"element {k}") for k in range(9)]
-    figure = convergence.draw_errors(convergence.error_points(cells))
+    figure = convergence.draw_errors(cells, convergence.error_points(cells))
     looks = [
         (line.get_color(), line.get_marker())
         for line in figure.axes[0].lines

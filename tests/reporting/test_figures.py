@@ -22,7 +22,6 @@ from study.reporting.figures import (
     convergence_figures,
     curve_figures,
     effect_figures,
-    registry,
     residual_figures,
     study_figures,
     surface_figures,
@@ -39,7 +38,7 @@ def test_log_cells_are_geometric_means(data):
 
 
 def test_scores_are_those_of_ryan_joiner(data):
-    frame = residual_figures.diagnostic_residual_points(facts(data)[1])
+    frame = residual_figures.diagnostic_residual_points(facts(data)[1], data)
     n = len(frame)
     assert n == 72  # 8 distinct computations, 9 blocks
     assert frame["score"].iloc[-1] == pytest.approx(stats.norm.ppf((n - 0.375) / (n + 0.25)))
@@ -56,7 +55,7 @@ def test_envelope_covers_what_it_says():
 
 
 def test_interval_of_a_standard_deviation(data):
-    frame = residual_figures.spread_of_cells(facts(data)[1], 0.05)
+    frame = residual_figures.spread_of_cells(facts(data)[1], data)
     row = frame.iloc[0]
     tail = 0.05 / 2 / len(frame)
     # textbook: s sqrt(df / chi2)
@@ -65,7 +64,7 @@ def test_interval_of_a_standard_deviation(data):
 
 
 def test_front_holds_what_no_other_cell_dominates(data):
-    frame = cost_front(data, facts(data)[0])
+    frame = cost_front(facts(data)[0], data)
     for row in frame.itertuples():
         # 0.5 pp matters, so a gain below 0.0005 pp is none
         earlier = (frame["seconds"] <= row.seconds) & (frame.index < row.Index)
@@ -155,7 +154,7 @@ def test_a_prediction_that_stopped_leaves_its_measurement_whole(data):
     assert found.frame["displacement_mm"].max() == 10.0
     assert found.frame.dropna(subset=["predicted_N"])["displacement_mm"].max() == 4.0
     assert found.frame["measured_N"].notna().all()
-    assert "stopped" in registry.curves(found, data)
+    assert "stopped" in curve_figures.curves_caption(found, data, found.frame)
 
 
 def test_no_two_panels_have_the_same_title(data):
@@ -235,8 +234,8 @@ def heights(ax):
 
 
 def test_main_effects(data, error):
-    frame = effect_figures.level_means(error)
-    panels = effect_figures.draw_level_means(frame, error, data).axes
+    frame = effect_figures.level_means(error, data)
+    panels = effect_figures.draw_level_means(error, data, frame).axes
     assert [y for ax in panels for y in heights(ax)] == frame["mean"].tolist()
 
 
@@ -267,8 +266,8 @@ def test_effects_without_an_interval_are_drawn_with_their_mesh_error(data):
 
 
 def test_cells(data, error):
-    frame = effect_figures.cell_points(data, error)
-    (ax,) = effect_figures.draw_cells(frame, error, 0.5).axes
+    frame = effect_figures.cell_points(error, data)
+    (ax,) = effect_figures.draw_cells(error, data, frame).axes
     *strips, means = points(ax)
     assert np.vstack(strips).tolist() == frame[["value", "rank"]].to_numpy(float).tolist()
     first = frame.drop_duplicates("rank")
@@ -281,17 +280,17 @@ def test_cells(data, error):
 
 def test_cells_of_a_design_without_blocks_have_no_lines(data, error):
     """A column of blocks that holds none: parameters alone, each cell computed once."""
-    frame = effect_figures.cell_points(data, error).drop_duplicates("rank").assign(block=None)
-    (ax,) = effect_figures.draw_cells(frame, error, 0.5).axes
+    frame = effect_figures.cell_points(error, data).drop_duplicates("rank").assign(block=None)
+    (ax,) = effect_figures.draw_cells(error, data, frame).axes
     assert not ax.lines
     *strips, _ = points(ax)
     assert len(np.vstack(strips)) == len(frame)
 
 
 def test_interactions(data, error):
-    frame = effect_figures.pair_means(data, error)
+    frame = effect_figures.pair_means(error, data)
     gap = frame.index[0]
-    panels = effect_figures.draw_interactions(frame.drop(gap), error, data).axes
+    panels = effect_figures.draw_interactions(error, data, frame.drop(gap)).axes
     first, level, other, other_level, _ = frame.loc[gap]
     pairs = frame.groupby(["factor", "other"], sort=False)
     for ax, ((a, b), pair) in zip(panels, pairs, strict=True):
@@ -304,8 +303,8 @@ def test_interactions(data, error):
 
 
 def test_residuals(data, error):
-    frame = residual_figures.diagnostic_residual_points(error)
-    figure = residual_figures.draw_residuals(frame, error, data)
+    frame = residual_figures.diagnostic_residual_points(error, data)
+    figure = residual_figures.draw_residuals(error, data, frame)
     _, fitted, histogram, factors = figure.axes
     (line,) = [one for one in fitted.lines if one.get_marker() == "o"]
     assert line.get_xydata().tolist() == frame[["fitted", "residual"]].to_numpy(float).tolist()
@@ -348,10 +347,10 @@ def test_figures_of_convergence_label_both_axes(spread):
     frame = pd.DataFrame(
         {"cell": "a", "mesh_size": [1.0, 1.5, 2.25], "error": error, "formal_order": np.nan}
     )
-    (ax,) = convergence_figures.draw_errors(frame).axes
+    (ax,) = convergence_figures.draw_errors([], frame).axes
     assert len(seen(ax, "y")) >= 2
     front = pd.DataFrame({"cell": "a", "seconds": 2.0 * np.geomspace(1, spread, 3), "error": error})
-    (ax,) = convergence_figures.draw_front(front, 0.029).axes
+    (ax,) = convergence_figures.draw_front({"accuracy": 0.029}, front).axes
     assert len(seen(ax, "x")) >= 2
     assert len(seen(ax, "y")) >= 2
 
@@ -364,12 +363,12 @@ def test_cost_against_accuracy_of_many_levels(levels):
     seconds, mean = np.geomspace(0.05, 0.2, len(frame)), np.linspace(6.0, 3.0, len(frame))
     cell = frame["material"] + frame["range"]
     frame = frame.assign(cell=cell, seconds=seconds, mean=mean, front=True)
-    facts = SimpleNamespace(better="lower", title="relative RMS force error", unit="%")
+    facts = SimpleNamespace(better="lower", title="error", unit="%", practical=0.5, relative=False)
     data = SimpleNamespace(factors=factors, labels={})
     found = []
 
     def draw():
-        found.append(study_figures.draw_front(frame, facts, data, 0.5))
+        found.append(study_figures.draw_front(facts, data, frame))
         return found[0]
 
     with warnings.catch_warnings():

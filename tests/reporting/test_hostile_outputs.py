@@ -31,10 +31,11 @@ def number(text):
 
 
 @pytest.fixture(scope="module")
-def sound_commands(data):
+def sound_commands(data, tmp_path_factory):
     """Commands that the LaTeX of a harmless report holds."""
     with data_alone():
-        return set(COMMANDS.findall(write._latex(data, write.prepare(data))))
+        paper = write.write(data, tmp_path_factory.mktemp("sound"), ("tex",))
+    return set(COMMANDS.findall(paper.read_text("utf-8")))
 
 
 @pytest.mark.parametrize("evil", [*FEW, *SLOW], ids=range(len(FEW) + len(SLOW)))

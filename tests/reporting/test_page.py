@@ -189,7 +189,8 @@ def test_a_broken_figure_is_named_and_the_others_are_the_same_to_the_byte(
     def broken(*_args):
         raise RuntimeError("the <pen> broke")
 
-    monkeypatch.setattr(effect_figures, "draw_interactions", broken)
+    title, points, _, caption = effect_figures.PLOTS["interactions"]
+    monkeypatch.setitem(effect_figures.PLOTS, "interactions", (title, points, broken, caption))
     made = prepare(replace(data, analyses=data.analyses[:1], curves=()))
     page = printed(*made.html())
     assert page.count("Figure missing.") == 1

@@ -31,7 +31,7 @@ from study.statistics.analysis.simple_effects import (
     ONE_SPECIMEN,
 )
 from study.statistics.convergence.contrast_bound import TermBounds
-from study.statistics.surfaces.surface_profile import FittedSurface, LevelDifference
+from study.statistics.surfaces.surface_result import FittedSurface, LevelDifference
 from tests.reporting.example import undrawn
 
 EMPTY = ReportData("none", "", {}, pd.DataFrame())

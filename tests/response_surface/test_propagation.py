@@ -8,8 +8,8 @@ from scipy import stats
 
 from study.ground.errors import RefusedError
 from study.statistics.surfaces.emulator import fit_emulator
-from study.statistics.surfaces.input_distribution import InputDistribution
 from study.statistics.surfaces.quadratic import fit_quadratic
+from study.statistics.surfaces.surface_factors import InputDistribution
 from study.statistics.surfaces.surface_result import analysis_of, propagate
 from tests.response_surface import functions
 

@@ -15,7 +15,7 @@ from study.laboratory.registration.rigid import turned_about
 from study.laboratory.shape.boundary import DeformedMesh, surface_of, symmetry_of
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
 from study.mechanics.mesh.structured import extrude, rectangle
-from study.reporting.output.accuracy_page import scan_answers
+from study.reporting.output.laboratory_pages import scan_answers
 from tests.cli.small import case_file, pressed, success
 from tests.fem.problems import LONG, long_verification
 from tests.fem.surfaces import write

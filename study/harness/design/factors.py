@@ -33,8 +33,7 @@ from study.ground.errors import nearest
 from study.ground.units import parse
 from study.harness.design.spec import DesignFile, Exclusion, Factor, Level
 from study.simulation import overlay
-from study.statistics.surfaces.input_distribution import DISTRIBUTION_KEYS
-from study.statistics.surfaces.surface_factors import NumericFactor
+from study.statistics.surfaces.surface_factors import DISTRIBUTION_KEYS, NumericFactor
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100

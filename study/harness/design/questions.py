@@ -51,12 +51,12 @@ from study.simulation.response import (
     is_simulated,
     response_unit,
 )
-from study.statistics.surfaces.input_distribution import (
+from study.statistics.surfaces.surface_factors import (
     DISTRIBUTION_KEYS,
     PARAMETERS,
     InputDistribution,
+    NumericFactor,
 )
-from study.statistics.surfaces.surface_factors import NumericFactor
 
 # The tables ``[[response]]``: what is answered, and the smallest difference that matters.
 

@@ -48,8 +48,7 @@ from study.simulation.cell import Case, Cell, Combination, Treatment, block_ids
 from study.simulation.problem_file import Converge, ProblemFile, Report, Virtual
 from study.simulation.resolve import Identification, resolve
 from study.simulation.response import RESPONSES, SCORED, SIMULATED, is_of_material
-from study.statistics.surfaces.input_distribution import InputDistribution
-from study.statistics.surfaces.surface_factors import NumericFactor
+from study.statistics.surfaces.surface_factors import InputDistribution, NumericFactor
 
 MAX_RESPONSES = 50
 MAX_EXCLUSIONS = 4096

@@ -43,8 +43,7 @@ from study.statistics.convergence.contrast_bound import CellSeries, NumericalBou
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_fitting import compared, counted, surfaces_at
-from study.statistics.surfaces.surface_profile import FittedSurface
-from study.statistics.surfaces.surface_result import propagate
+from study.statistics.surfaces.surface_result import FittedSurface, propagate
 
 if TYPE_CHECKING:
     import pandas as pd

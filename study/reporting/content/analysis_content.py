@@ -33,6 +33,9 @@ from study.reporting.content.text import (
 )
 from study.reporting.results.study_result import Check, ReportData
 from study.statistics.analysis import repeats
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.anova_table import Comparison
+from study.statistics.analysis.comparisons import Comparisons
 from study.statistics.analysis.simple_effects import (
     MATTERS,
     NO_DIFFERENCE,
@@ -40,15 +43,12 @@ from study.statistics.analysis.simple_effects import (
     REFUSALS,
 )
 from study.statistics.surfaces.emulator import GIVEN, RANKED
-from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.surfaces.surface_result import FittedSurface
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.anova_table import Comparison, NestedUnits
-    from study.statistics.analysis.comparisons import Comparisons
-    from study.statistics.analysis.linear_contrast import Contrast
+    from study.statistics.analysis.anova_table import Contrast
     from study.statistics.analysis.mixed_model import MixedModel
     from study.statistics.analysis.post_hoc import Coefficient
 
@@ -68,7 +68,7 @@ def factor_information(data: ReportData) -> Table:
         "Factor Information",
         data.factors.items(),
         {
-            "factor": lambda of: clean(name_of(of[0], data.labels)),
+            "factor": lambda of: name_of(of[0], data.labels),
             "levels": lambda of: str(len(of[1])),
             "values": lambda of: values(of[1]),
         },
@@ -78,17 +78,21 @@ def factor_information(data: ReportData) -> Table:
 
 def model_summary(analysis: AnalysisResult) -> Table | None:
     """S, R-sq, adjusted and predicted; None where nothing was left over."""
-    summary = analysis.summary
-    if summary is None:
+    if (summary := analysis.summary) is None:
         return None
-    shares = (summary.r_sq, summary.r_sq_adj, summary.r_sq_pred)
-    row = (significant(summary.s, DIGITS), *(percent(x, 4) for x in shares))
-    columns = ("S", "R-sq", "R-sq (adjusted)", "R-sq (predicted)")
-    note = (
-        "R-sq (predicted) is 1 \N{MINUS SIGN} PRESS / total: each row is predicted from all others."
+    return Table.of(
+        "Model Summary",
+        (summary,),
+        {
+            "S": lambda of: significant(of.s, DIGITS),
+            "R-sq": lambda of: percent(of.r_sq, 4),
+            "R-sq (adjusted)": lambda of: percent(of.r_sq_adj, 4),
+            "R-sq (predicted)": lambda of: percent(of.r_sq_pred, 4),
+        },
+        note="R-sq (predicted) is 1 \N{MINUS SIGN} PRESS / total: each row is predicted from all "
+        "others.",
+        raw=plain,
     )
-    raw = (plain(summary),)
-    return Table("Model Summary", columns, (row,), note=note, raw=raw)
 
 
 def coefficients(fitted: tuple[Coefficient, ...], facts: Facts) -> Table | None:
@@ -203,9 +207,9 @@ def open_effects(item: Facts, data: ReportData) -> Points | None:
 
 def contrasts(facts: Facts) -> Table | None:
     """Differences of two settings that were asked for by name; None without any."""
-    result = facts.result
-    requested = result and result.contrasts
-    return contrast_table(requested, facts, facts.alpha) if requested else None
+    if facts.result is None or not facts.result.contrasts:
+        return None
+    return contrast_table(facts.result.contrasts, facts, facts.alpha)
 
 
 #: title of differences that were asked for by name
@@ -294,8 +298,7 @@ def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Tabl
     """Statistic and p of every test of an assumption that ran."""
     tests = analysis.assumptions
     rows: list[tuple[str, str, float | None, str, str]] = []
-    rj = tests.normality
-    if rj is not None and rj.applicable:
+    if (rj := tests.normality) is not None and rj.applicable:
         several = len(tests.normality_rows)
         together = several > 1 and rj.p_exact is not None
         of = f"smallest of {several} contrasts, n = {rj.n}" if together else f"n = {rj.n}"
@@ -307,12 +310,10 @@ def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Tabl
             rows.append(("normality", test.name, test.statistic, p_value(test.p), ""))
     for key, spread in tests.spread.items():
         if spread.applicable:
-            of = " (median)" if key == "levene" else ""
-            of += ", approximate" if spread.approximate else ""
+            of = " (median)" * (key == "levene") + ", approximate" * spread.approximate
             p = p_value(spread.p), p_value(spread.p_monte_carlo)
             rows.append(("equal spread", f"{key.capitalize()}{of}", spread.statistic, *p))
-    tukey = tests.non_additivity
-    if tukey is not None and tukey.p is not None:
+    if (tukey := tests.non_additivity) is not None and tukey.p is not None:
         rows.append(("additivity", "Tukey, one df", tukey.f, p_value(tukey.p), ""))
     for term, sphere in tests.sphericity.items():
         if sphere.p is not None:
@@ -385,11 +386,43 @@ def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Bloc
         yield replace(tables.sizes(item, data), name="Sizes of the effects")
         yield from effect_blocks(item, data)
         yield checks(analysis, "Assumptions")
-        yield from _further_checks(analysis)
+        # what a page draws: contrasts beyond Lenth's margins, rows that the fit leans on
+        lenth, tests = analysis.lenth, analysis.assumptions
+        if lenth is not None:
+            yield Verbatim(
+                f"Lenth: pseudo standard error {significant(lenth.pse, 4)}, margin of error "
+                f"{significant(lenth.me, 4)}, simultaneous {significant(lenth.sme, 4)}; beyond it: "
+                f"{', '.join(lenth.active) or 'none'}"
+            )
+        if tests.fligner is not None:
+            statistic, p = tests.fligner
+            yield Verbatim(f"Fligner-Killeen: {significant(statistic, 4)}, {p_phrase(p)}")
+        if tests.influence is not None and tests.influence.rows:
+            listed = ", ".join(str(i) for i in tests.influence.rows[:10])
+            limit = tests.influence.limit
+            yield Verbatim(f"rows the fit leans on (Cook's distance > {limit:.2g}): {listed}")
+        if tests.box_cox is not None:
+            low, high = tests.box_cox.ci95
+            exponent = tests.box_cox.exponent
+            yield Verbatim(f"Box-Cox exponent {exponent:.2f} (95 % {low:.2f} to {high:.2f})")
         yield robustness(analysis, data)
         yield _detectable(analysis)
     if analysis.nested is not None:
-        yield _by_units(analysis.nested)
+        yield Table.of(
+            f"What {analysis.nested.rows} 'independent' rows would have claimed",
+            analysis.nested.terms,
+            {
+                "Term": lambda t: t.term,
+                f"F ({analysis.nested.unit} as the replicate)": lambda t: (
+                    f"F({t.df[0]:g}, {t.df[1]:g}) = {t.f:.4g}"
+                ),
+                "p": lambda t: p_value(t.p),
+                "F (every row)": lambda t: (
+                    f"F({t.naive_df[0]:g}, {t.naive_df[1]:g}) = {t.naive_f:.4g}"
+                ),
+                "p (every row)": lambda t: p_value(t.naive_p),
+            },
+        )
         yield from (Verbatim(f"{text}.") for text in unit_sentences(analysis)[:2])
     if analysis.contrasts:
         yield replace(contrast_table(analysis.contrasts, item, analysis.request.alpha), name=ASKED)
@@ -411,28 +444,6 @@ def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
     yield largest and replace(largest, name=title)
 
 
-def _further_checks(analysis: AnalysisResult) -> Iterator[Verbatim]:
-    """Give what a page draws: contrasts beyond Lenth's margins, rows that the fit leans on."""
-    lenth, tests = analysis.lenth, analysis.assumptions
-    if lenth is not None:
-        yield Verbatim(
-            f"Lenth: pseudo standard error {significant(lenth.pse, 4)}, margin of error "
-            f"{significant(lenth.me, 4)}, simultaneous {significant(lenth.sme, 4)}; beyond it: "
-            f"{', '.join(lenth.active) or 'none'}"
-        )
-    if tests.fligner is not None:
-        statistic, p = tests.fligner
-        yield Verbatim(f"Fligner-Killeen: {significant(statistic, 4)}, {p_phrase(p)}")
-    if tests.influence is not None and tests.influence.rows:
-        listed = ", ".join(str(i) for i in tests.influence.rows[:10])
-        limit = tests.influence.limit
-        yield Verbatim(f"rows the fit leans on (Cook's distance > {limit:.2g}): {listed}")
-    if tests.box_cox is not None:
-        low, high = tests.box_cox.ci95
-        exponent = tests.box_cox.exponent
-        yield Verbatim(f"Box-Cox exponent {exponent:.2f} (95 % {low:.2f} to {high:.2f})")
-
-
 def _detectable(analysis: AnalysisResult) -> Table | None:
     """Differences that would be seen with power 80 %, by the number of units."""
     power = analysis.power
@@ -452,22 +463,6 @@ def unit_sentences(analysis: AnalysisResult) -> tuple[str, ...]:
     """Say what the analysis by units claims, and what one by rows would have; empty without."""
     nested = analysis.nested
     return () if nested is None else tuple(repeats.sentences(nested, analysis.request.alpha))
-
-
-def _by_units(nested: NestedUnits) -> Table:
-    return Table.of(
-        f"What {nested.rows} 'independent' rows would have claimed",
-        nested.terms,
-        {
-            "Term": lambda t: t.term,
-            f"F ({nested.unit} as the replicate)": lambda t: (
-                f"F({t.df[0]:g}, {t.df[1]:g}) = {t.f:.4g}"
-            ),
-            "p": lambda t: p_value(t.p),
-            "F (every row)": lambda t: f"F({t.naive_df[0]:g}, {t.naive_df[1]:g}) = {t.naive_f:.4g}",
-            "p (every row)": lambda t: p_value(t.naive_p),
-        },
-    )
 
 
 def mixed_blocks(model: MixedModel, response: str, alpha: float) -> Iterator[Block | None]:
@@ -635,22 +630,24 @@ def _normality(facts: Facts, alpha: float) -> Check:
     finding = f"rejected by Ryan-Joiner{p}"
     if not effect_words.rejects_normality(facts, alpha):
         return Check(name, "pass", f"not {finding}", "The p-values may be read as they are.")
-    mend = "" if facts.ratio else "; the log of the response may help"
+    mend = "; the log of the response may help" * (not facts.ratio)
     return Check(name, "caution", finding, f"Small p-values are approximate{mend}.")
 
 
 def _spread(facts: Facts, alpha: float) -> Check:
-    name = "Equal spread of the cells"
-    tests = facts.assumptions.spread
-    applicable = {k: t for k, t in tests.items() if t.statistic is not None}
-    if not applicable:
+    name, tests = "Equal spread of the cells", facts.assumptions.spread
+    ps = {
+        key.capitalize(): effect_words.p_of(test)
+        for key, test in tests.items()
+        if test.statistic is not None
+    }
+    if not ps:
         reasons = list(dict.fromkeys(test.reason for test in tests.values() if test.reason))
         why = listing(reasons) or "there are no residuals to test"
         untested = f"neither Bartlett's nor Levene's test applies: {why}"
         return Check(name, "not applicable", untested)
-    ps = {k.capitalize(): effect_words.p_of(test) for k, test in applicable.items()}
-    against = [name for name, p in ps.items() if p is not None and p < alpha]
-    p_values = listing([f"{name} {p_phrase(p)}" for name, p in ps.items()])
+    against = [test for test, p in ps.items() if p is not None and p < alpha]
+    p_values = listing([f"{test} {p_phrase(p)}" for test, p in ps.items()])
     if not against:
         finding = f"not rejected ({p_values})"
         return Check(name, "pass", finding, "One error serves for all cells.")

@@ -13,7 +13,19 @@ Columns = dict[str, Callable[[tuple[str, Document]], str]]
 def calibration_blocks(document: Document) -> Iterator[Block]:
     """Constants with their intervals, then the curves, the verdicts and what to measure next."""
     bound = document.get("numerics") or document.get("numerical")
-    yield _constants(document, bound)
+    columns: Columns = {
+        "constant": lambda of: of[0],
+        "value": lambda of: general(of[1]["value"], 6),
+        "unit": lambda of: of[1]["unit"],
+        "standard error": lambda of: general(of[1]["standard_error"]),
+        "95 % interval": lambda of: between(of[1]["ci95"]),
+    }
+    if bound is not None:
+        columns["numerics"] = lambda of: f"+-{general(bound['u'][of[0]], 2)}"
+    if document["profiles"]:
+        profiles = document["profiles"]
+        columns["profile interval"] = lambda of: between(profiles.get(of[0], {}).get("interval"))
+    yield Table.of(document["model"], document["parameters"].items(), columns)
     yield from nuisance_blocks(document["nuisance"])
     if "shear_moduli" in document:
         both = document["shear_moduli"]
@@ -48,24 +60,22 @@ def calibration_blocks(document: Document) -> Iterator[Block]:
             yield Verbatim(f"{fit['label']} {title}: {values} ({fit['status']})")
             yield from _curves("  ", fit["curves"])
     if document["population"]:
-        yield from _population(document["population"])
+        of_specimens: Columns = {
+            "constant": lambda of: of[0],
+            "specimens": lambda of: str(of[1]["specimens"]),
+            "mean": lambda of: general(of[1]["mean"], 5),
+            "unit": lambda of: of[1]["unit"],
+            "scatter": lambda of: general(of[1]["standard_deviation"]),
+            "95 % of the mean": lambda of: between(of[1]["mean_ci95"]),
+            "95 % of the next specimen": lambda of: between(of[1]["next_ci95"]),
+        }
+        yield Table.of("population of specimens", document["population"].items(), of_specimens)
+        for name, entry in document["population"].items():
+            listed = ", ".join(f"{k} {general(v, 5)}" for k, v in entry["shrunk"].items())
+            yield Verbatim(
+                f"{name} of each specimen, shrunk to the mean by its own error: {listed}"
+            )
     yield from _judged(document)
-
-
-def _constants(document: Document, bound: Document | None) -> Table:
-    columns: Columns = {
-        "constant": lambda of: of[0],
-        "value": lambda of: general(of[1]["value"], 6),
-        "unit": lambda of: of[1]["unit"],
-        "standard error": lambda of: general(of[1]["standard_error"]),
-        "95 % interval": lambda of: between(of[1]["ci95"]),
-    }
-    if bound is not None:
-        columns["numerics"] = lambda of: f"+-{general(bound['u'][of[0]], 2)}"
-    if document["profiles"]:
-        profiles = document["profiles"]
-        columns["profile interval"] = lambda of: between(profiles.get(of[0], {}).get("interval"))
-    return Table.of(document["model"], document["parameters"].items(), columns)
 
 
 def nuisance_blocks(nuisance: Document) -> Iterator[Block]:
@@ -95,22 +105,6 @@ def nuisance_blocks(nuisance: Document) -> Iterator[Block]:
             "the expected value of a fitted parameter enters the fit as one row that nobody "
             "measured (a pseudo-observation)"
         )
-
-
-def _population(population: Document) -> Iterator[Block]:
-    columns: Columns = {
-        "constant": lambda of: of[0],
-        "specimens": lambda of: str(of[1]["specimens"]),
-        "mean": lambda of: general(of[1]["mean"], 5),
-        "unit": lambda of: of[1]["unit"],
-        "scatter": lambda of: general(of[1]["standard_deviation"]),
-        "95 % of the mean": lambda of: between(of[1]["mean_ci95"]),
-        "95 % of the next specimen": lambda of: between(of[1]["next_ci95"]),
-    }
-    yield Table.of("population of specimens", population.items(), columns)
-    for name, entry in population.items():
-        listed = ", ".join(f"{k} {general(v, 5)}" for k, v in entry["shrunk"].items())
-        yield Verbatim(f"{name} of each specimen, shrunk to the mean by its own error: {listed}")
 
 
 def _judged(document: Document) -> Iterator[Block]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 
 from study.ground.arrays import gathered
 from study.reporting.content.blocks import Block, Folded, Points, Sentence, Table
@@ -66,11 +67,13 @@ def summary(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
     mains = [row for row in shown if row.is_main]
     lines = [_count(mains, comparison)] if mains else []
     lines += [
-        sentence(f"{_term(row, labels)}, for the {name_of(row.response, labels)}: "
-                 f"{_how(row, comparison)}")
+        sentence(
+            f"{term_name(row.term, labels)}, for the {name_of(row.response, labels)}: "
+            f"{_how(row, comparison)}"
+        )
         for row in shown
         if row.conclusion.startswith((study_answers.DIFFERS, study_answers.ONE_CANNOT_TELL))
-    ]  # fmt: skip
+    ]
     return tuple(lines)
 
 
@@ -90,10 +93,6 @@ def _count(rows: Sequence[Conclusion], comparison: Beside) -> str:
 def _strong(row: Conclusion) -> bool:
     """Whether an interaction deserves a sentence: it matters in one, or the studies differ."""
     return not row.is_main and any(effect.strength == MATTERS for effect in row.effects)
-
-
-def _term(row: Conclusion, labels: Labels) -> str:
-    return term_name(row.term, labels)
 
 
 def _how(row: Conclusion, comparison: Beside) -> str:
@@ -154,7 +153,7 @@ def only_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
 def quiet_line(rows: Iterable[Conclusion], labels: Labels = None) -> str:
     """Name the interactions that the short table leaves out, by what is known of them."""
     quiet = (row for row in rows if not row.is_main and not _strong(row))
-    groups = gathered((row.conclusion, _term(row, labels)) for row in quiet)
+    groups = gathered((row.conclusion, term_name(row.term, labels)) for row in quiet)
     named = ((kind.replace(":", ","), names) for kind, names in groups.items())
     return " ".join(sentence(f"{kind}: {', '.join(names)}") for kind, names in named)
 
@@ -175,7 +174,7 @@ def table(comparison: Beside, labels: Labels = None) -> Table:
     first, other = map(level, comparison.alphas)
     columns: dict[str, Callable[[Side], str]] = {
         "response": lambda of: name_of(of[0].response, labels),
-        "factor": lambda of: _term(of[0], labels),
+        "factor": lambda of: term_name(of[0].term, labels),
         "in both": lambda of: of[0].conclusion.partition(":")[0],
         "study": lambda of: clean(of[1]),
         "verdict": lambda of: (
@@ -191,11 +190,10 @@ def table(comparison: Beside, labels: Labels = None) -> Table:
             f"{clean(of[3])} ({of[0].end})" if of[3] and of[2].strength == MATTERS else MISSING
         ),
     }
+    every = list(_sides(chain.from_iterable(groups), comparison))
     # the short table has the factors, and interactions that matter in one of the studies
-    rows_shown = (row for group in groups for row in group if row.is_main or _strong(row))
-    main = _sides(rows_shown, comparison)
+    main = [of for of in every if of[0].is_main or _strong(of[0])]
     whole = Table.of("beside", main, columns, left=5, tail=1, grouped=True)
-    every = _sides((row for group in groups for row in group), comparison)
     rows = tuple((row[0], "", "", *row[3:]) if k % 2 else row for k, row in enumerate(whole.rows))
     # columns that hold dashes alone are left out: a terminal is narrow
     held = [k for k in range(len(columns)) if any(row[k] != MISSING for row in rows) or not rows]
@@ -215,5 +213,5 @@ def _raw(of: Side) -> dict[str, object]:
         "verdict": effect.strength, "effect": effect.range, "low": effect.low, "high": effect.high,
         "practical": effect.practical, "u_num": effect.u_num,
         "effect_over_u_num": effect.effect_over_u_num, "p": effect.p, "end": row.end, "best": best,
-        "scale": "ratio" if row.ratio else "difference",
+        "scale": row.scale,
     }  # fmt: skip

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING
 
 from study.ground.arrays import gathered
+from study.ground.contrast import Expected
 from study.reporting.content.blocks import Table
 from study.reporting.content.report_facts import Facts, cells, practical_of
 from study.reporting.content.text import (
@@ -41,9 +41,6 @@ from study.statistics.analysis.simple_effects import (
     NO_DIFFERENCE,
     NOT_RESOLVED,
 )
-
-if TYPE_CHECKING:
-    from study.ground.contrast import Expected
 
 Labels = Mapping[str, str] | None
 
@@ -202,28 +199,23 @@ def named(setting: Mapping[str, str], data: ReportData) -> str:
 
 def by_condition(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Say at which levels of a condition each choice matters."""
-    return [
-        line
-        for condition in factors_of(data, CONDITION)
-        for facts in all_facts
-        for effect in choices(data, facts)
-        if (line := _one_condition(condition, effect, facts, data))
-    ]
-
-
-def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportData) -> str:
-    by_verdict: dict[str, list[str]] = {}
-    for label in data.factors[condition]:
-        here = [e for e in effect.simple_effects if dict(e.at).get(condition) == label]
-        if not here:
-            return ""
-        verdict = together([e.verdict for e in here])
-        largest = max([e for e in here if e.verdict == verdict] or here, key=effect.distance)
-        size = shown_difference(apart(largest.difference, effect), effect, facts)
-        by_verdict.setdefault(verdict, []).append(f"{clean(label)} ({size})")
-    parts = [f"{_SAID[verdict]} at {listing(levels)}" for verdict, levels in by_verdict.items()]
-    name, by = term_name(effect.term, data.labels), name_of(condition, data.labels)
-    return sentence(f"{name} by {by}, for {facts.noun}: {'; '.join(parts)}")
+    lines = []
+    for condition, facts in product(factors_of(data, CONDITION), all_facts):
+        for effect in choices(data, facts):
+            at = gathered((dict(e.at).get(condition), e) for e in effect.simple_effects)
+            if any(label not in at for label in data.factors[condition]):
+                continue
+            shown = []
+            for label in data.factors[condition]:
+                verdict = together([e.verdict for e in at[label]])
+                alike = [e for e in at[label] if e.verdict == verdict] or at[label]
+                difference = apart(max(alike, key=effect.distance).difference, effect)
+                size_there = shown_difference(difference, effect, facts)
+                shown.append((verdict, f"{clean(label)} ({size_there})"))
+            parts = [f"{_SAID[v]} at {listing(levels)}" for v, levels in gathered(shown).items()]
+            name, by = term_name(effect.term, data.labels), name_of(condition, data.labels)
+            lines.append(sentence(f"{name} by {by}, for {facts.noun}: {'; '.join(parts)}"))
+    return lines
 
 
 def apart(difference: float, effect: Effect) -> float:
@@ -242,28 +234,23 @@ def together(verdicts: Sequence[str]) -> str:
     return CANNOT_TELL if CANNOT_TELL in verdicts else NOT_RESOLVED
 
 
-def unknowns(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
+def unknowns(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[str]:
     """Effect of every assumed factor, and whether it has to be measured."""
-    effects = gathered((e.term, (f, e)) for f in all_facts for e in f.effects)
-    return [
-        _one_unknown(name_of(name, data.labels), effects[name], data.labels)
-        for name in factors_of(data, UNKNOWN)
-        if name in effects
-    ]
-
-
-def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]], labels: Labels) -> str:
-    large = [
-        f"{facts.noun} by {change(effect, facts, labels, in_brackets=True)}"
-        for facts, effect in effects
-        if effect.verdict == MATTERS and effect.range is not None
-    ]
-    start = f"the level of {name} was assumed"
-    if large:
-        return f"{sentence(f'{start}, and it changes {listing(large)}')} Measure it."
-    if all(effect.verdict == NO_DIFFERENCE for _, effect in effects):
-        return sentence(f"{start}. It makes no practical difference, so it need not be measured")
-    return sentence(f"{start}. This study cannot tell whether it has to be measured")
+    by_factor = gathered((e.term, (f, e)) for f in all_facts for e in f.effects)
+    for factor in factors_of(data, UNKNOWN):
+        effects = by_factor.get(factor, [])
+        start = f"the level of {name_of(factor, data.labels)} was assumed"
+        large = [
+            f"{facts.noun} by {change(effect, facts, data.labels, in_brackets=True)}"
+            for facts, effect in effects
+            if effect.verdict == MATTERS and effect.range is not None
+        ]
+        if large:
+            yield f"{sentence(f'{start}, and it changes {listing(large)}')} Measure it."
+        elif effects and all(effect.verdict == NO_DIFFERENCE for _, effect in effects):
+            yield sentence(f"{start}. It makes no practical difference, so it need not be measured")
+        elif effects:
+            yield sentence(f"{start}. This study cannot tell whether it has to be measured")
 
 
 #: *matters* where the average over the other factors does not
@@ -284,16 +271,16 @@ def open_verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
             f"largest difference in {facts.noun} is {numbers}"
             f"{_unresolved(effect, facts, labels)}"
         )
-    limit = practical(effect, facts)
-    against = "" if limit == MISSING else f" against {limit} that matters"
-    worst, least = "", effect.deciding_simple
+    text = f"{name}: these data cannot show whether it matters for {facts.noun}"
+    text += f"; the largest difference is {numbers}"
+    if effect.practical is not None:
+        text += f" against {practical(effect, facts)} that matters"
+    text += f" ({effect.why})" if effect.why else ""
+    least = effect.deciding_simple
     if least is not None and effect.depends_on_settings and least.ci is not None:
-        there = setting(least, labels)
-        worst = f"; the largest single one is {simple(least, effect, facts)}, {there}"
-    return sentence(
-        f"{name}: these data cannot show whether it matters for {facts.noun}; the largest "
-        f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}{worst}"
-    )
+        shown = simple(least, effect, facts)
+        text += f"; the largest single one is {shown}, {setting(least, labels)}"
+    return sentence(text)
 
 
 def sole_setting(effect: Effect) -> SimpleEffect | None:
@@ -320,17 +307,12 @@ def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
     if least is None or (same and least.u is not None):
         return f", and its numerical uncertainty {numerical(effect, facts)} {below}"
     # another setting, or another pair of levels, has the larger uncertainty
-    where = (
-        setting(least, labels)
-        if least.at
-        else f"between {clean(least.first)} and {clean(least.second)}"
-    )
-    bound_text = (
-        "which these meshes do not bound" if least.u is None else bound(least.u, effect, facts)
-    )
+    pair = f"between {clean(least.first)} and {clean(least.second)}"
+    unbounded = "which these meshes do not bound"
     return (
-        f"; {where} it is {shown_difference(least.difference, effect, facts)}, and the numerical "
-        f"uncertainty there, {bound_text}, {below}"
+        f"; {setting(least, labels) if least.at else pair} it is "
+        f"{shown_difference(least.difference, effect, facts)}, and the numerical uncertainty "
+        f"there, {unbounded if least.u is None else bound(least.u, effect, facts)}, {below}"
     )
 
 
@@ -360,10 +342,9 @@ def blocks_needed(effect: Effect, facts: Facts) -> str:
     return f"{facts.block} {listing(named, 'or')}" if len(named) < 4 else several
 
 
-def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
+def rejects_normality(facts: Facts, alpha: float) -> bool:
     """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one."""
-    tested = facts.assumptions.normality
-    if tested is None:
+    if (tested := facts.assumptions.normality) is None:
         return False
     if tested.p_exact is not None:
         return tested.p_exact < alpha
@@ -406,7 +387,7 @@ _OF_VERDICT = {MATTERS: HOLDS, NO_DIFFERENCE: FAILS}
 VERDICTS = frozenset(
     (MATTERS, MATTERS_AT_SETTINGS, NO_DIFFERENCE, NOT_RESOLVED, CANNOT_TELL, HOLDS, FAILS)
 )
-_UNKNOWN = "the study has no answer"
+_NO_ANSWER = ("the study has no answer", CANNOT_TELL)
 
 
 def table(data: ReportData, all_facts: Sequence[Facts]) -> Table:
@@ -415,9 +396,8 @@ def table(data: ReportData, all_facts: Sequence[Facts]) -> Table:
     rows = []
     for item in data.expected:
         facts = by_name.get(item.response)
-        saw, verdict = _judged(item, facts, data) if facts else (_UNKNOWN, CANNOT_TELL)
-        source = clean(item.source) or MISSING
-        rows.append((_said(item, data), source, sentence(saw), verdict))
+        saw, verdict = _judged(item, facts, data) if facts else _NO_ANSWER
+        rows.append((_said(item, data), clean(item.source) or MISSING, sentence(saw), verdict))
     columns = ("expected", "by", "found", "verdict")
     raw = tuple(dict(zip(columns, row, strict=True)) for row in rows)
     return Table("expected", columns, tuple(rows), 3, 1, raw=raw)
@@ -452,7 +432,7 @@ def _judged(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
         return _larger([_effect_of(facts, name) for name in item.factors], facts, data)
     effect = _effect_of(facts, *item.factors)
     if effect is None or effect.range is None:
-        return _UNKNOWN, CANNOT_TELL
+        return _NO_ANSWER
     return _sized(effect, facts), _OF_VERDICT.get(effect.strength, CANNOT_TELL)
 
 
@@ -469,9 +449,9 @@ def _larger(effects: Sequence[Effect | None], facts: Facts, data: ReportData) ->
     """One effect is larger than another where their intervals do not overlap."""
     estimated = [e for e in effects if e is not None and e.range is not None]
     if len(estimated) < 2:
-        return _UNKNOWN, CANNOT_TELL
+        return _NO_ANSWER
     parts = [f"{term_name(e.term, data.labels)} {_sized(e, facts)}" for e in estimated]
-    (low, high), (other_low, other_high) = (_magnitudes(e) for e in estimated)
+    (low, high), (other_low, other_high) = map(_magnitudes, estimated)
     verdict = HOLDS if low > other_high else FAILS if high < other_low else CANNOT_TELL
     return ", ".join(parts), verdict
 
@@ -483,27 +463,24 @@ def _directed(item: Expected, facts: Facts) -> tuple[str, str]:
     """
     factor, labels = next(iter(item.cells[0].items()))
     effect = _effect_of(facts, factor)
-    better = facts.better
-    if effect is None or (item.kind == "better" and not better):
-        return _UNKNOWN, CANNOT_TELL
+    if effect is None or (item.kind == "better" and not facts.better):
+        return _NO_ANSWER
     named = set(labels.split("\t"))
     against = set(effect.levels) - named
     if len(item.cells) > 1:
         against = set(item.cells[1].get(factor, "").split("\t"))
-    up = item.kind == "better" and better == "higher"
+    up = item.kind == "better" and facts.better == "higher"
     zero = 1.0 if effect.is_ratio else 0.0
-    parts, sides = [], []
+    parts, sides = [], set()
     for pair in effect.pairs:
         if {pair.first, pair.second} & named and {pair.first, pair.second} & against:
-            lower, upper = pair.lower, pair.upper
-            side = 1 if lower > zero else -1 if upper < zero else 0
-            sides.append(side if (pair.first in named) == up else -side)
-            ends = span(lower, upper, decimals_that_count(effect.practical))
+            side = 1 if pair.lower > zero else -1 if pair.upper < zero else 0
+            sides.add(side if (pair.first in named) == up else -side)
+            ends = span(pair.lower, pair.upper, decimals_that_count(effect.practical))
             parts.append(f"{clean(pair.first)} less {clean(pair.second)} {ends}")
     if not sides:
-        return _UNKNOWN, CANNOT_TELL
-    verdict = HOLDS if set(sides) == {1} else FAILS if -1 in sides else CANNOT_TELL
-    return listing(parts), verdict
+        return _NO_ANSWER
+    return listing(parts), HOLDS if sides == {1} else FAILS if -1 in sides else CANNOT_TELL
 
 
 def _magnitudes(effect: Effect) -> tuple[float, float]:
@@ -522,7 +499,7 @@ def _cells(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
     means = dict(zip(levels, frame["mean"].tolist(), strict=True))
     keys = [tuple(cell.values()) for cell in item.cells]
     if any(key not in means for key in keys):
-        return _UNKNOWN, CANNOT_TELL
+        return _NO_ANSWER
     limit = practical_of(facts, cells(data, facts.name))
     rank = _worse(means[keys[0]], facts)
     if item.kind == "close":

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from study.record.record import answered_often, cell_names
 from study.reporting.content.text import clean, name_of
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
@@ -119,10 +121,6 @@ class Facts(ResponseAnalysis):
         """Unit of what is analyzed less its mean."""
         return "log ratio" if self.ratio else self.difference_unit
 
-    def row(self, term: str) -> Row | None:
-        """Row of the ANOVA table of a term."""
-        return next((row for row in self.rows if row.term == term), None)
-
 
 def facts(data: ReportData) -> tuple[Facts, ...]:
     """Read every analysis of a report."""
@@ -198,8 +196,6 @@ def comparable(data: ReportData, response: str) -> pd.DataFrame:
 
 def cells(data: ReportData, response: str, factors: Sequence[str] | None = None) -> pd.DataFrame:
     """Mean response of every cell, or by the levels of some factors; best (lowest) first."""
-    import numpy as np
-
     factors = list(data.factors if factors is None else factors)
     rows = comparable(data, response)
     log = any(r.name == response and r.transform == "log" for r in data.analyses)

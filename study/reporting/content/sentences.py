@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import permutations
 from typing import TYPE_CHECKING
 
@@ -77,8 +77,16 @@ def answer(
     """
     analyzed = [facts for facts in all_facts if facts.terms]
     if not analyzed:
-        if data.failures and len(data.failures) >= len(data.table):
-            return _all_failed(data.failures)
+        if (failed := data.failures) and len(failed) >= len(data.table):
+            causes = Counter(item.message or item.status for item in failed)
+            ((message, number),) = causes.most_common(1)
+            total, case = len(failed), clean(failed[0].case_id)
+            every = "The only case failed" if total == 1 else f"All {total:,} cases failed"
+            return (
+                f"{every}, so there is nothing to compare.",
+                f"What {number:,} of {total:,} reported: {clean(message, 300)}",
+                f"The command study why {case} explains the first one.",
+            )
         if data.surfaces:
             # of one surface there is room to say all
             in_short = is_short and len(data.surfaces) > 1
@@ -95,34 +103,19 @@ def answer(
     rest = count(len(analyzed) - len(named), "more response")
     first = [*(verdicts_of(data, facts) for facts in named), *left_out(data, all_facts)]
     has_size = any(facts.has_size for facts in analyzed)
+    nouns = [facts.noun for facts in all_facts if not facts.terms]
     parts = (
         *(first if is_short else [" ".join(filter(None, first))]),
         *(sentence(clean(fit.finding)) for fit in data.checks if fit.name in ANSWERED),
         f"The figure below shows the effects on {rest}." if named != analyzed else "",
         without_size(data, all_facts),
-        without_verdict(all_facts),
+        f"There is no verdict on {listing(nouns)}: the checks say why." if nouns else "",
         *effect_words.by_condition(data, all_facts),
         *effect_words.unknowns(data, all_facts),
         _one_not_other(data, all_facts) if has_size else "",
         *(() if is_short else recommendations(data, all_facts)),
     )
     return tuple(text for text in parts if text)
-
-
-def _all_failed(items: Sequence[Record]) -> tuple[str, ...]:
-    ((message, number),) = Counter(item.message or item.status for item in items).most_common(1)
-    every = "The only case failed" if len(items) == 1 else f"All {len(items):,} cases failed"
-    return (
-        f"{every}, so there is nothing to compare.",
-        f"What {number:,} of {len(items):,} reported: {clean(message, 300)}",
-        f"The command study why {clean(items[0].case_id)} explains the first one.",
-    )
-
-
-def without_verdict(all_facts: Sequence[Facts]) -> str:
-    """Say which responses could not be analyzed."""
-    nouns = [facts.noun for facts in all_facts if not facts.terms]
-    return f"There is no verdict on {listing(nouns)}: the checks say why." if nouns else ""
 
 
 def without_size(data: ReportData, all_facts: Sequence[Facts]) -> str:
@@ -146,15 +139,11 @@ def tested(data: ReportData, facts: Facts) -> str:
     terms = [e for e in facts.terms if e.p_holm is not None]
     if not terms:
         return "There is no error term, so nothing is tested."
-    names = {e.term: clean(term_name(e.term, data.labels)) for e in terms}
     differ = [e for e in terms if e.p_holm is not None and e.p_holm < facts.alpha]
-    shown = [f"{names[e.term]} ({size(e, facts)}, {p_phrase(e.p_holm)})" for e in differ]
-    rest = [names[e.term] for e in terms if e not in differ]
-    parts = []
-    if shown:
-        parts.append(f"an effect is shown of {listing(shown)}")
-    if rest:
-        parts.append(f"none is shown of {listing(rest, 'or')}")
+    shown = [f"{_label(e, data)} ({size(e, facts)}, {p_phrase(e.p_holm)})" for e in differ]
+    rest = [_label(e, data) for e in terms if e not in differ]
+    parts = [f"an effect is shown of {listing(shown)}"] if shown else []
+    parts += [f"none is shown of {listing(rest, 'or')}"] if rest else []
     adjusted = f"at {facts.alpha:g}, adjusted by Holm for {count(len(terms), 'term')}"
     return sentence(f"for {facts.noun}, {'; '.join(parts)} ({adjusted})")
 
@@ -225,16 +214,14 @@ def _label(effect: Effect, data: ReportData) -> str:
 
 def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
     """Size of an effect that matters, and the blocks without which the claim falls."""
-    fragile = ""
-    if effect.lost_without:
-        fragile = f"; not so if {blocks_needed(effect, facts)} is left out"
-    if effect.term in facts.hang_on_missing:
-        fragile += f"; {_LIKE_THE_OTHERS}"
-    changed = effect_words.change(effect, facts, data.labels)
+    shown = effect_words.change(effect, facts, data.labels)
     if sole_setting(effect):
-        return f"{changed}; {size(effect, facts)} on average{fragile}"
-    extremes = "" if effect.is_ratio else " between extremes"
-    return f"{changed}{extremes}{fragile}"
+        shown += f"; {size(effect, facts)} on average"
+    elif not effect.is_ratio:
+        shown += " between extremes"
+    if effect.lost_without:
+        shown += f"; not so if {blocks_needed(effect, facts)} is left out"
+    return shown + f"; {_LIKE_THE_OTHERS}" * (effect.term in facts.hang_on_missing)
 
 
 def _magnitude(effect: Effect) -> float:
@@ -278,18 +265,17 @@ def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
 def interactions(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Say which factors do not act alone, or which may be chosen independently; of one, nothing."""
     strong = [
-        (facts, effect)
+        (effect, facts)
         for facts in all_facts
         for effect in facts.interactions
         if effect.strength == MATTERS
     ]
     if not strong:
         return _no_interaction(data, all_facts)
-    facts, effect = max(strong, key=lambda item: _magnitude(item[1]))
+    effect, facts = max(strong, key=lambda of: _magnitude(of[0]))
     return sentence(
-        f"the factors do not act alone: in {facts.noun}, "
-        f"{term_name(effect.term, data.labels)} differ by {size(effect, facts)} from what each "
-        "does on average"
+        f"the factors do not act alone: in {facts.noun}, {_label(effect, data)} differ by "
+        f"{size(effect, facts)} from what each does on average"
     )
 
 
@@ -337,18 +323,14 @@ def error_term(facts: Facts, data: ReportData) -> str:
     if match := re.fullmatch(r"(.*\?)\s*\((.*)\)", question):
         question = f"{match[1]} {sentence(match[2])}"
     if question:
-        end = "" if question[-1] in ".?" else "."
         start = "The p-values answer one question"
         if question.startswith("no p: "):
             start, question = "There are no p-values", question.removeprefix("no p: ")
-        question = f" {start}: {question}{end}"
-    return _named_blocks(f"{sentence(what)}{question}", clean(data.block))
-
-
-def _named_blocks(text: str, block: str) -> str:
-    """Text of the analysis with what the blocks are: phantoms, batches."""
+        question = f" {start}: {question}{'' if question[-1] in '.?' else '.'}"
+    text, block = f"{sentence(what)}{question}", clean(data.block)
     if block in ("", "block"):
         return text
+    # what the blocks are: phantoms, batches
     many = plural_of(block)
     return re.sub(r"levels of block|blocks?\b", lambda m: block if m[0] == "block" else many, text)
 
@@ -440,11 +422,11 @@ _MOST = 4
 
 def folded(warnings: Sequence[tuple[str, str]], data: ReportData) -> tuple[str, ...]:
     """Fold warnings of several responses and terms that differ in names and numbers alone."""
-    split = [(title, *_split(warning, data)) for title, warning in warnings]
-    # warnings about a term may differ in their numbers, others must be the same
     groups = gathered(
+        # warnings about a term may differ in their numbers, others must be the same
         ((re.sub(r"\d+", "#", text) if term else text, bool(term)), (title, term, text))
-        for title, term, text in split
+        for title, warning in warnings
+        for term, text in (_split(warning, data),)
     )
     lines = []
     for items in groups.values():
@@ -468,19 +450,8 @@ def _split(warning: str, data: ReportData) -> tuple[str, str]:
 # What to use: the best cell, the cheapest within reach of it; and what would change the answer.
 
 
-def _over_fewer(data: ReportData, facts: Facts) -> str:
-    """Say where means are taken over fewer blocks than there are."""
-    if not data.blocks or "block" not in data.table:
-        return ""
-    shared = comparable(data, facts.name)["block"].nunique()
-    if shared == len(data.blocks):
-        return ""
-    blocks = plural_of(clean(data.block) or "block")
-    return f" (over the {shared} of {len(data.blocks)} {blocks} in which every cell has an answer)"
-
-
 def cost_front(
-    data: ReportData, facts: Facts, factors: Sequence[str] | None = None
+    facts: Facts, data: ReportData, factors: Sequence[str] | None = None
 ) -> pd.DataFrame:
     """Mean seconds and mean response of every cell, and which cells no other one dominates."""
     import pandas as pd
@@ -537,10 +508,14 @@ def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
         return listing([clean(cell[name]) for name in factors])
 
     def use(cell: pd.Series) -> str:
-        mean = quantity(cell["mean"], facts.unit)
-        return f"use {named(cell)}: {mean}{_over_fewer(data, facts)}"
+        text = f"use {named(cell)}: {quantity(cell['mean'], facts.unit)}"
+        total = len(data.blocks) if "block" in data.table else 0
+        if not total or (shared := comparable(data, facts.name)["block"].nunique()) == total:
+            return text
+        blocks = plural_of(clean(data.block) or "block")
+        return f"{text} (over the {shared} of {total} {blocks} in which every cell has an answer)"
 
-    front, sign = cost_front(data, facts, factors), -1.0 if facts.better == "higher" else 1.0
+    front, sign = cost_front(facts, data, factors), -1.0 if facts.better == "higher" else 1.0
     frame = cells(data, facts.name, factors) if front.empty else front
     if frame.empty:
         return "no cell has an answer"
@@ -568,7 +543,7 @@ def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
 def _why_best(cheap: pd.Series, good: pd.DataFrame) -> str:
     if len(good) == 1:
         return "no other cell comes within the difference that matters"
-    share = float(good["seconds"].min()) / max(float(cheap["seconds"]), 1e-9)
+    share = good["seconds"].min() / max(cheap["seconds"], 1e-9)
     if share >= 1:
         return "it is the most accurate cell, and the cheapest of those as good in practice"
     return (
@@ -620,10 +595,9 @@ def would_change(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if not data.analyses:
         parts = ["a [[response]] in the design"]
     if not parts:
-        measured = (
-            "rows of other conditions" if data.is_table else "measurements of another material"
-        )
-        other = measured if data.is_measured else "other given values"
+        other = "measurements of another material" if data.is_measured else "other given values"
+        if data.is_table and data.is_measured:
+            other = "rows of other conditions"
         parts = [f"a different smallest difference that matters, or {other}"]
     return sentence("; ".join(parts))
 
@@ -643,10 +617,8 @@ def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     doubts = _names(open_ones, data)
     # the same computation gives the same answer: nothing is gained from it again
     if doubts and (data.imported or data.is_table or (data.is_measured and data.blocks)):
-        several = "s" if len(doubts) > 1 else ""
-        parts.append(
-            f"more {plural_of(unit)} would narrow the interval{several} of {listing(doubts)}"
-        )
+        ends = "intervals" if len(doubts) > 1 else "interval"
+        parts.append(f"more {plural_of(unit)} would narrow the {ends} of {listing(doubts)}")
     claims = _names([e for e in effects if e.lost_without], data)
     if claims:
         more = plural_of(clean(data.block) or "block")
@@ -657,9 +629,8 @@ def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
         lost = [e for e in open_ones if None in e.mean or e.range is None]
         if lost:
             parts.append(f"answers where cases failed, for {listing(_names(lost, data))}")
-        coarse = list(
-            dict.fromkeys([*coarse, *_names([e for e in open_ones if e not in lost], data)])
-        )
+        unsure = _names([e for e in open_ones if e not in lost], data)
+        coarse = list(dict.fromkeys([*coarse, *unsure]))
     if coarse:
         parts.append(f"finer meshes could resolve {listing(coarse)}")
     if is_computed and effects and all(e.u_num is None for e in effects):
@@ -671,18 +642,16 @@ def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     return parts
 
 
-def _closer_to_reality(data: ReportData) -> list[str]:
-    parts = []
+def _closer_to_reality(data: ReportData) -> Iterator[str]:
     if data.assumed:
         names = listing([name_of(key, data.labels) for key in data.assumed])
-        parts.append(f"a measured value of what is assumed here ({names}) could move every result")
+        yield f"a measured value of what is assumed here ({names}) could move every result"
     if data.failures:
         some = len(data.failures) < len(data.table)
         hidden = "may hide an effect" if some else "hide every effect"
-        parts.append(f"{count(len(data.failures), 'failed case')} {hidden}")
+        yield f"{count(len(data.failures), 'failed case')} {hidden}"
     if data.virtual:
-        parts.append("real measurements would, since these were generated")
-    return parts
+        yield "real measurements would, since these were generated"
 
 
 def _names(effects: Sequence[Effect], data: ReportData) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -38,99 +39,90 @@ from study.reporting.content.text import (
 )
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 from study.statistics.surfaces.emulator import Emulator
-from study.statistics.surfaces.quadratic import QuadraticSurface
-from study.statistics.surfaces.surface_profile import profiles, strongest
+from study.statistics.surfaces.quadratic import QuadraticSurface, SurfaceTerm
+from study.statistics.surfaces.surface_result import (
+    ElementaryEffect,
+    FittedSurface,
+    Sensitivity,
+    SurfaceAnalysis,
+    SurfacePrediction,
+    profiles,
+    strongest,
+)
 
 if TYPE_CHECKING:
     from study.reporting.results.study_answers import Confirmed, Inverted, Recommendation
     from study.reporting.results.study_result import ReportData
-    from study.statistics.surfaces.quadratic import SurfaceTerm
-    from study.statistics.surfaces.surface_profile import ElementaryEffect, FittedSurface
-    from study.statistics.surfaces.surface_result import (
-        Sensitivity,
-        SurfaceAnalysis,
-        SurfacePrediction,
-    )
 
 
 #: a gain below this is no reason to measure an input better
 WORTH = 0.01
 
 
-def uncertainty_answer(fit: FittedSurface, data: ReportData) -> tuple[str, ...]:
+def uncertainty_answer(fit: FittedSurface, data: ReportData) -> Iterator[str]:
     """Sentences of the answer: how sure the response is, and which input to measure better."""
-    spread = fit.uncertain
-    if spread is None:
-        return ()
-    unit, ends = clean(fit.unit), spread.percentiles
-    best = spread.inputs[0]
-    gain = best.gain
-    sure = (
+    if (spread := fit.uncertain) is None:
+        return
+    unit, ends, best = clean(fit.unit), spread.percentiles, spread.inputs[0]
+    yield (
         f"With these uncertain inputs it is {quantity(spread.mean.value, unit)} with a standard "
         f"deviation of {quantity(spread.sd.value, unit)}; 95 % of it lie between "
         f"{quantity(ends[2.5].value, unit)} and {quantity(ends[97.5].value, unit)}."
     )
-    if gain < WORTH:
-        return (sure, "Measuring one of them twice as well would change that by less than 1 %.")
-    worth = (
+    if best.gain < WORTH:
+        yield "Measuring one of them twice as well would change that by less than 1 %."
+        return
+    yield (
         f"Knowing {name_of(best.name, data.labels)} twice as well would lower the standard "
-        f"deviation by {percent(gain)}" + (", more than any other." if spread.inputs[1:] else ".")
+        f"deviation by {percent(best.gain)}{', more than any other' * bool(spread.inputs[1:])}."
     )
-    return (sure, worth)
 
 
-def uncertainty_lines(fit: FittedSurface, data: ReportData) -> tuple[str, ...]:
+def uncertainty_lines(fit: FittedSurface, data: ReportData) -> Iterator[str]:
     """Sentences of the section: the surface's own error, and what was held or cut off."""
-    spread = fit.uncertain
-    if spread is None:
-        return ()
-    unit = clean(fit.unit)
-    ends = spread.percentiles
-    lines = [
+    if (spread := fit.uncertain) is None:
+        return
+    unit, largest = clean(fit.unit), max(end.own for end in spread.percentiles.values())
+    yield (
         f"The surface itself may be off by {quantity(spread.mean.own, unit, 2)} in the mean, "
         f"{quantity(spread.sd.own, unit, 2)} in the standard deviation and "
-        f"{quantity(max(t.own for t in ends.values()), unit, 2)} in the percentiles of the "
-        "uncertain inputs' response; that is no part of these."
-    ]
-    if spread.fixed:
-        lines.append(f"Held there for it: {settings(spread.fixed, fit, data, ' at')}.")
-    cut = [
-        f"{percent(p, 2)} of {name_of(n, data.labels)}" for n, p in spread.cut.items() if p > 1e-4
-    ]
-    if cut:
-        lines.append(f"Outside of the ranges that were run, and cut off: {listing(cut)}.")
-    return tuple(lines)
-
-
-def table(fit: FittedSurface, data: ReportData) -> Table | None:
-    """List the inputs, the one that is worth measuring most first; None where none is uncertain."""
-    spread = fit.uncertain
-    if spread is None:
-        return None
-    note = (
-        f"Standard deviation of the response now: {quantity(spread.sd.value, clean(fit.unit))}. "
-        "Shares of its variance by the input alone and with all its interactions. Gain: part of "
-        "the standard deviation that goes when the input is known twice as well."
+        f"{quantity(largest, unit, 2)} in the percentiles of the uncertain inputs' response; that "
+        "is no part of these."
     )
+    if spread.fixed:
+        yield f"Held there for it: {settings(spread.fixed, fit, data, ' at')}."
+    cut = {name_of(n, data.labels): percent(p, 2) for n, p in spread.cut.items() if p > 1e-4}
+    if cut:
+        parts = listing([f"{part} of {name}" for name, part in cut.items()])
+        yield f"Outside of the ranges that were run, and cut off: {parts}."
+
+
+def uncertain_inputs(fit: FittedSurface, data: ReportData) -> Table | None:
+    """List the inputs, the one that is worth measuring most first; None where none is uncertain."""
+    if (spread := fit.uncertain) is None:
+        return None
+    unit = clean(fit.unit)
     return Table.of(
-        " ".join(("uncertain", fit.response, *fit.labels.values())),
+        _table_name("uncertain", fit),
         spread.inputs,
         {
-            "input": lambda item: clean(name_of(item.name, data.labels)),
+            "input": lambda item: name_of(item.name, data.labels),
             "distribution": lambda item: clean(fit.inputs.get(item.name, "")),
             "share alone": lambda item: percent(None if item.index is None else item.index.first),
             "share in all": lambda item: percent(None if item.index is None else item.index.total),
-            "sd if halved": lambda item: quantity(item.halved, clean(fit.unit)),
+            "sd if halved": lambda item: quantity(item.halved, unit),
             "gain": lambda item: percent(item.gain),
         },
         left=2,
-        note=note,
+        note=f"Standard deviation of the response now: {quantity(spread.sd.value, unit)}. Shares "
+        "of its variance by the input alone and with all its interactions. Gain: part of the "
+        "standard deviation that goes when the input is known twice as well.",
     )
 
 
 def title(fit: FittedSurface, data: ReportData) -> str:
     """Name of the response, and where the factors without numbers stand."""
-    at, named = at_labels(fit, data), clean(name_of(fit.response, data.labels))
+    at, named = at_labels(fit, data), name_of(fit.response, data.labels)
     return f"{named} at {at}" if at else named
 
 
@@ -156,8 +148,7 @@ def would_change(data: ReportData) -> str:
 
 def accuracy(fit: FittedSurface) -> str:
     """How well runs are predicted from the others."""
-    surface = fit.surface
-    if surface is None:
+    if (surface := fit.surface) is None:
         return ""
     model, runs = surface.model, count(surface.runs.response.size, "run")
     kind = "quadratic surface" if surface.kind == "quadratic" else "Gaussian-process emulator"
@@ -167,11 +158,10 @@ def accuracy(fit: FittedSurface) -> str:
         rms = model.loo.rms
     else:
         rms = model.loo_rms
-    if _learns_from_others(surface):
-        runs += ", which learns from those at the other levels,"
+    learned = ", which learns from those at the other levels," * _learns_from_others(surface)
     q2 = f"{model.q2:.3f}" if model.q2 < 0.9995 else "above 0.999"
     return (
-        f"A {kind} of {runs} predicts each from all the others within "
+        f"A {kind} of {runs}{learned} predicts each from all the others within "
         f"{quantity(rms, clean(fit.unit))} (root mean square; Q2 {q2})."
     )
 
@@ -185,8 +175,7 @@ def _learns_from_others(surface: SurfaceAnalysis) -> bool:
 
 def method(fit: FittedSurface, data: ReportData) -> str:
     """Sentences for a methods paragraph: what was fitted, and how it was judged."""
-    surface = fit.surface
-    if surface is None:
+    if (surface := fit.surface) is None:
         return ""
     how = (
         "all linear, square and product terms of the coded factors by least squares"
@@ -200,57 +189,29 @@ def method(fit: FittedSurface, data: ReportData) -> str:
             ", together with the runs at the other levels, between whose functions a correlation "
             "was fitted (Qian, Wu and Wu 2008)"
         )
-    shares = (
-        "; shares of variance are Sobol indices of factors uniform over their ranges, by "
-        "Jansen's estimators on posterior paths"
-        if any(item.index is not None for item in surface.sensitivity)
-        else ""
-    )
-    return (
-        f"{sentence(title(fit, data)).rstrip('.')} was fitted with {how}{shares}. {accuracy(fit)}"
-    )
+    if any(item.index is not None for item in surface.sensitivity):
+        how += (
+            "; shares of variance are Sobol indices of factors uniform over their ranges, by "
+            "Jansen's estimators on posterior paths"
+        )
+    return f"{sentence(title(fit, data)).rstrip('.')} was fitted with {how}. {accuracy(fit)}"
 
 
-def extremes(fit: FittedSurface, data: ReportData) -> tuple[str, ...]:
+def extremes(fit: FittedSurface, data: ReportData) -> Iterator[str]:
     """Smallest and largest prediction in the ranges, and where they are."""
-    surface = fit.surface
-    if surface is None:
-        return ()
-    lines, unit = [], "" if fit.unit == "1" else clean(fit.unit)
+    if (surface := fit.surface) is None:
+        return
+    unit = "" if fit.unit == "1" else f"{THIN}{clean(fit.unit)}" * bool(fit.unit)
     for word, extreme in (("smallest", surface.smallest), ("largest", surface.largest)):
         value = significant(extreme.value)
-        if extreme.half_width == extreme.half_width:  # NaN where no run can be left out
+        if not math.isnan(extreme.half_width):  # as where no run can be left out
             value += f"{THIN}\N{PLUS-MINUS SIGN}{THIN}{significant(extreme.half_width, 2)}"
-        value += f"{THIN}{unit}" * bool(unit)
         at = settings(extreme.settings, fit, data)
-        lines.append(f"The {word} prediction in these ranges is {value} at {at}.")
-    return tuple(lines)
+        yield f"The {word} prediction in these ranges is {value}{unit} at {at}."
 
 
 def _refusal(fit: FittedSurface) -> str:
     return clean("; ".join(map(str.strip, fit.refused.splitlines())))
-
-
-def surface_lines(fit: FittedSurface, data: ReportData) -> tuple[str, ...]:
-    """Sentences of the section of one surface: accuracy, extremes, what must still be run."""
-    surface = fit.surface
-    if surface is None:
-        return (f"No surface: {_refusal(fit)}.",)
-    confirm = [
-        f"That {name_of(item.factor, data.labels)} matters is claimed once these two were run: "
-        + " and ".join(settings(at, fit, data) for at in item.confirm)
-        + "."
-        for item in surface.sensitivity
-        if item.confirm
-    ]
-    return (
-        accuracy(fit),
-        *_shape(fit, data),
-        *differences(fit, data),
-        *extremes(fit, data),
-        *confirm,
-        *uncertainty_lines(fit, data),
-    )
 
 
 def differences(fit: FittedSurface, data: ReportData) -> Iterator[str]:
@@ -258,11 +219,9 @@ def differences(fit: FittedSurface, data: ReportData) -> Iterator[str]:
     unit = clean(fit.unit)
     for difference in fit.differences:
         word = "more" if difference.mean >= 0 else "less"
-        ends = (
-            (difference.low, difference.high)
-            if difference.mean >= 0
-            else (-difference.high, -difference.low)
-        )
+        ends = (difference.low, difference.high)
+        if difference.mean < 0:
+            ends = (-difference.high, -difference.low)
         limit = ""
         if fit.practical is not None:
             # what 95 % of the settings have at least, or what only some have
@@ -284,19 +243,16 @@ def differences(fit: FittedSurface, data: ReportData) -> Iterator[str]:
 
 def _shape(fit: FittedSurface, data: ReportData) -> Iterator[str]:
     """Say where a quadratic surface is level, whether it fits, and what it cannot tell apart."""
-    model = None if fit.surface is None else fit.surface.model
-    if not isinstance(model, QuadraticSurface):
+    if fit.surface is None or not isinstance(model := fit.surface.model, QuadraticSurface):
         return
-    point = model.stationary
-    if point is not None and point.established:
+    if (point := model.stationary) is not None and point.established:
         where = "inside" if point.inside else "outside"
         at = settings(model.runs.settings(point.at), fit, data)
         yield (
             f"The surface is level at a {point.kind} of {quantity(point.value, clean(fit.unit))}, "
             f"{where} the ranges: {at}."
         )
-    lack = model.lack_of_fit
-    if lack is not None:
+    if (lack := model.lack_of_fit) is not None:
         yield (
             f"Lack of fit: F({lack.df:.3g}, {lack.df_error:.3g}) = {significant(lack.f)}, "
             f"{p_phrase(lack.p)}."
@@ -313,14 +269,13 @@ def settings(where: Mapping[str, float], fit: FittedSurface, data: ReportData, a
     return listing([f"{name_of(name, data.labels)}{at} {value}" for name, value in values.items()])
 
 
-def sensitivity(fit: FittedSurface, data: ReportData) -> Table | None:
-    """Shares and ranges of the factors, the strongest first; None where none is told."""
-    surface = fit.surface
-    if surface is None or all(i.index is None and i.range is None for i in surface.sensitivity):
+def sensitivity(surface: SurfaceAnalysis, fit: FittedSurface, data: ReportData) -> Table | None:
+    """Shares and ranges of the factors, the strongest first; None where none is known."""
+    if all(item.index is None and item.range is None for item in surface.sensitivity):
         return None
     unit = clean(fit.unit)
     columns: dict[str, Callable[[Sensitivity], str]] = {
-        "factor": lambda item: clean(name_of(item.factor, data.labels)),
+        "factor": lambda item: name_of(item.factor, data.labels),
         "share alone": lambda item: (
             MISSING if item.index is None else _share(item.index.first, item.index.first_interval)
         ),
@@ -351,7 +306,7 @@ def screening(fit: FittedSurface, data: ReportData) -> Table | None:
     """Elementary effects of the factors, the largest mean size first; None of a surface."""
     unit = clean(fit.unit)
     columns: dict[str, Callable[[ElementaryEffect], str]] = {
-        "factor": lambda e: clean(name_of(e.factor, data.labels)),
+        "factor": lambda e: name_of(e.factor, data.labels),
         "effects": lambda e: str(e.effects),
         "\N{GREEK SMALL LETTER MU}*": lambda e: quantity(e.mu_star, unit),
         "\N{GREEK SMALL LETTER MU}": lambda e: quantity(e.mu, unit),
@@ -366,11 +321,8 @@ def screening(fit: FittedSurface, data: ReportData) -> Table | None:
     return table if table.rows else None
 
 
-def coefficients(fit: FittedSurface, data: ReportData) -> Table | None:
-    """Coefficients of a quadratic surface in coded factors; None of an emulator."""
-    model = None if fit.surface is None else fit.surface.model
-    if not isinstance(model, QuadraticSurface):
-        return None
+def coefficients(model: QuadraticSurface, fit: FittedSurface, data: ReportData) -> Table:
+    """Coefficients of a quadratic surface in coded factors."""
     columns: dict[str, Callable[[SurfaceTerm], str]] = {
         "term": lambda t: (
             "(constant)"
@@ -486,21 +438,27 @@ def surface_blocks(
 ) -> Iterator[Block | None]:
     """One surface: what drives it, what it says, its tables, then its other figures."""
     figures = drawn or {}
-    named, lines = title(fit, data), surface_lines(fit, data)
-    yield Heading(capital(named), 2, anchor, fit.unit)
-    if fit.surface is None:
-        yield Sentence(lines[0], kind="missing")
+    yield Heading(capital(title(fit, data)), 2, anchor, fit.unit)
+    if (surface := fit.surface) is None:
+        yield Sentence(f"No surface: {_refusal(fit)}.", kind="missing")
         yield screening(fit, data)
         return
+    confirm = [
+        f"That {name_of(item.factor, data.labels)} matters is claimed once these two were run: "
+        f"{' and '.join(settings(at, fit, data) for at in item.confirm)}."
+        for item in surface.sensitivity
+        if item.confirm
+    ]
+    shape, others, ends = _shape(fit, data), differences(fit, data), extremes(fit, data)
     yield figures.get("shares")
-    yield Points(lines)
-    yield sensitivity(fit, data)
-    yield from titled(coefficients(fit, data), "Coefficients")
-    if isinstance(model := fit.surface.model, QuadraticSurface):
+    yield Points([accuracy(fit), *shape, *others, *ends, *confirm, *uncertainty_lines(fit, data)])
+    yield sensitivity(surface, fit, data)
+    if isinstance(model := surface.model, QuadraticSurface):
+        yield from titled(coefficients(model, fit, data), "Coefficients")
         for name, test in model.factor_tests.items():
             ratio = f"F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}"
             yield Sentence(f"All terms of {name}: {ratio}, {p_phrase(test.p)}.")
-    yield from titled(table(fit, data), "Uncertain inputs")
+    yield from titled(uncertain_inputs(fit, data), "Uncertain inputs")
     yield from (figures[kind] for kind in ("contours", "left-out") if kind in figures)
 
 
@@ -515,7 +473,7 @@ def recommendation_blocks(recommendations: Sequence[Recommendation]) -> Iterator
 def _recommendation(recommended: Recommendation) -> Iterator[Block]:
     word = "smallest" if recommended.goal == "minimize" else "largest"
     unit = f" {recommended.unit}" if recommended.unit else ""
-    ends = f"{general(recommended.low, 3)} to {general(recommended.high, 3)}"
+    ends = between((recommended.low, recommended.high), 3)
     yield Verbatim(
         f"{word} {recommended.response}: {general(recommended.value, 3)}{unit}, 95 % interval "
         f"{ends}{unit}"
@@ -557,7 +515,7 @@ def _limits(recommended: Recommendation) -> Iterator[Block]:
             "95 % interval": lambda of: between(of[1][1:], 3),
         },
     )
-    if recommended.assurance == "predicted":
+    if recommended.limits_hold == "predicted":
         yield Sentence(
             "the limits hold for the prediction, not at the unfavourable end of its interval: no "
             "setting keeps them there"
@@ -576,13 +534,7 @@ def _confirmed(recommended: Recommendation, run: Confirmed) -> Iterator[Block]:
         },
     )
     inside = "inside of" if run.predicted else "outside of"
-    limits = (
-        ""
-        if not recommended.bounds
-        else "; limits kept"
-        if run.within_limits
-        else "; limits not kept"
-    )
+    limits = f"; limits {'' if run.within_limits else 'not '}kept" if recommended.bounds else ""
     yield Verbatim(f"the confirming run lies {inside} the predicted interval{limits}")
 
 

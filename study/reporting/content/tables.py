@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from study.ground.arrays import gathered
 from study.ground.canonical import plain
+from study.record.record import Record
 from study.reporting.content import sentences
 from study.reporting.content.blocks import Document, Table
 from study.reporting.content.effect_words import numerical as u_num_of
@@ -35,13 +38,11 @@ from study.reporting.content.text import (
 )
 from study.reporting.results.study_result import ANY, FittedConstant, ReportData
 from study.statistics.analysis.anova_table import Row
+from study.statistics.analysis.failures import FailurePattern, FailureRule, FailureTest
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from study.record.record import Record
-    from study.statistics.analysis.failures import FailurePattern, FailureRule, FailureTest
 
 
 def fit_name(fit: FittedConstant, data: ReportData) -> str:
@@ -68,20 +69,17 @@ def fits(data: ReportData) -> Table:
         "residual (RMS)", "identifiable",
     )  # fmt: skip
     rows = tuple((*key, *_summary(items)) for key, items in groups.items())
-    return Table("fits", columns, rows, 2, raw=tuple(map(_raw_fit, data.fits)), grouped=True)
-
-
-def _raw_fit(fit: FittedConstant) -> dict[str, object]:
-    """Fields of a fitted constant, its levels and correlations in columns of their own."""
-    values = {item.name: getattr(fit, item.name) for item in fields(fit)}
-    correlated = {f"correlation with {k}": v for k, v in values.pop("correlated").items()}
-    return {**values.pop("levels"), **values, **correlated}
+    # levels and correlations have columns of their own
+    raw = tuple(
+        {**fit.levels, **{k: v for k, v in vars(fit).items() if k not in ("levels", "correlated")}}
+        | {f"correlation with {k}": v for k, v in fit.correlated.items()}
+        for fit in data.fits
+    )
+    return Table("fits", columns, rows, 2, raw=raw, grouped=True)
 
 
 def _summary(items: Sequence[FittedConstant]) -> tuple[str, ...]:
     """Median, range, relative standard error, correlation, residual, share that is determined."""
-    import numpy as np
-
     values = np.array([i.value for i in items if i.value is not None], dtype=float)
     unit = items[0].unit
     relative = [
@@ -100,8 +98,6 @@ def _summary(items: Sequence[FittedConstant]) -> tuple[str, ...]:
 
 def _strongest(items: Sequence[FittedConstant]) -> str:
     """Median correlation with the constant that a fit is most entangled with."""
-    import numpy as np
-
     by_other = gathered(pair for item in items for pair in item.correlated.items())
     if not by_other:
         return MISSING
@@ -157,14 +153,6 @@ def in_order(data: ReportData) -> pd.DataFrame:
     )
 
 
-def by_cell(data: ReportData) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
-    """Levels and rows of every cell, cells in the order of the design, rows in that of blocks."""
-    if data.table.empty:  # nothing is computed yet, or what was is lost
-        return []
-    groups = in_order(data).groupby(list(data.factors), sort=False)
-    return [(tuple(str(level) for level in levels), group) for levels, group in groups]
-
-
 def lists_records(data: ReportData) -> bool:
     """Whether a page lists every case: each has a record, and they are not too many."""
     return not data.is_table and "case_id" in data.table and 0 < len(data.table) <= MOST
@@ -176,9 +164,9 @@ def case_records(data: ReportData, all_facts: Sequence[Facts]) -> Table | None:
         return None
     listed = [facts for facts in all_facts if facts.name in data.table]
     blocked = bool(data.block) and "block" in data.table
-    rows: list[tuple[str, ...]] = []
-    anchors: list[str] = []
-    for number, (levels, group) in enumerate(by_cell(data), 1):
+    rows, anchors = [], []
+    cells_in_order = in_order(data).groupby(list(data.factors), sort=False)
+    for number, (levels, group) in enumerate(cells_in_order, 1):
         cell = tuple(clean(level) for level in levels)
         for record in group.to_dict("records"):
             block = (clean(str(record["block"])) or MISSING,) if blocked else ()
@@ -284,7 +272,7 @@ def anova(facts: Facts, data: ReportData, name: str = "") -> Table:
     elif facts.result and facts.result.lenth:
         columns["p (Lenth)"] = columns.pop("p")
     if any(row.p_gg is not None for row in rows):
-        columns["GG epsilon"] = lambda row: "" if row.p_gg is None else _fixed(row.epsilon_gg, 3)
+        columns["GG epsilon"] = lambda row: "" if row.p_gg is None else _thousandths(row.epsilon_gg)
         columns["p corrected"] = lambda row: "" if row.p_gg is None else p_value(row.p_gg)
     strata = data.is_table and len({row.error for row in rows if row.error}) > 1
     if strata:
@@ -331,9 +319,9 @@ def sizes(facts: Facts, data: ReportData) -> Table:
         "term": lambda row: term_name(row.term, data.labels),
     }
     if any(row.omega_sq is not None for row in effects):
-        columns["omega squared"] = lambda row: _fixed(row.omega_sq, 3)
+        columns["omega squared"] = lambda row: _thousandths(row.omega_sq)
         columns["partial eta squared"] = lambda row: (
-            _fixed(row.partial_eta_sq, 3)
+            _thousandths(row.partial_eta_sq)
             + (f" ({interval(*row.partial_eta_sq_ci95)})" if row.partial_eta_sq_ci95 else "")
         )
     columns["share"] = lambda row: share(row.share) if row.df else MISSING
@@ -341,11 +329,10 @@ def sizes(facts: Facts, data: ReportData) -> Table:
     return Table.of(f"{facts.name}-sizes", effects, columns, note=note if data.block else "")
 
 
-def _fixed(value: float | None, decimals: int = 2) -> str:
+def _thousandths(value: float | None) -> str:
     if value is None:
         return MISSING
-    least = 10.0**-decimals
-    return f"< {least:g}" if 0 < value < least / 2 else f"{value:.{decimals}f}"
+    return "< 0.001" if 0 < value < 0.0005 else f"{value:.3f}"
 
 
 def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
@@ -453,11 +440,8 @@ def failure_sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tup
         for rule in pattern.rules
     )
     bad, rest = pattern.elsewhere
-    if where and rest:
-        text = f"Where cases fail: {where}; elsewhere {bad:,} of {rest:,}."
-    elif where:
-        text = f"Where cases fail: {where}."
-    else:
+    text = f"Where cases fail: {where}{f'; elsewhere {bad:,} of {rest:,}' if rest else ''}."
+    if not where:
         text = (
             f"{pattern.failed:,} of {pattern.total:,} cases failed. No level of a factor, and no "
             "combination of two or three, holds enough of them to be named as the place."
@@ -517,12 +501,11 @@ def retried_sentence(items: Sequence[Record]) -> str:
     """Say how many cases have other settings than the design's; empty where none has."""
     if not items:
         return ""
-    solved = sum(item.converged for item in items)
-    were = "was" if len(items) == 1 else "were"
+    solved, were = sum(item.converged for item in items), "was" if len(items) == 1 else "were"
     return (
-        f"{count(len(items), 'case')} failed as designed and {were} "
-        f"computed with other settings, as the design declares: {solved:,} then gave an answer. "
-        "What was changed is part of their difference from the other cases."
+        f"{count(len(items), 'case')} failed as designed and {were} computed with other settings, "
+        f"as the design declares: {solved:,} then gave an answer. What was changed is part of "
+        "their difference from the other cases."
     )
 
 
@@ -597,14 +580,15 @@ def marker_errors(data: ReportData) -> Table:
 
 def _values(motion: dict[str, list[float | None]], names: tuple[str, ...]) -> str:
     """Components with their standard errors where they were fitted."""
-    parts = []
-    for name in names:
-        value, error = motion.get(name, (None, None))
-        if value is None:
-            parts.append(MISSING)
-            continue
-        parts.append(f"{value:.2f} \N{PLUS-MINUS SIGN} {error:.2f}" if error else f"{value:.4g}")
-    return ", ".join(parts).replace("-", MINUS) or MISSING
+    parts = [
+        MISSING
+        if value is None
+        else f"{value:.2f} \N{PLUS-MINUS SIGN} {error:.2f}"
+        if error
+        else f"{value:.4g}"
+        for value, error in (motion.get(name, (None, None)) for name in names)
+    ]
+    return ", ".join(parts).replace("-", MINUS)
 
 
 def label_of(cell: Document) -> str:
@@ -615,29 +599,27 @@ def label_of(cell: Document) -> str:
 
 def validation(rows: Sequence[Document], block: str) -> Table:
     """Compare every case at the end of its curve."""
-    heads = dict(zip(("E (N)", "u_num", "u_input", "u_data", "u_val"), _SHOWN, strict=True))
-    columns: dict[str, Callable[[Document], str]] = {
-        "cell": lambda row: clean(label_of(row)),
-        block or "block": lambda row: clean(row["block"] or MISSING),
-        **{
-            head: lambda row, name=name: significant(row[name][-1])  # type: ignore[misc]
-            for head, name in heads.items()
-        },
-        "curve outside": lambda row: f"{100 * row['outside']:.0f} %",
-        "verdict": lambda row: clean(row["verdict"], 200),
-    }
     return Table.of(
         "validation",
         rows,
-        columns,
+        {
+            "cell": lambda row: clean(label_of(row)),
+            block or "block": lambda row: clean(row["block"] or MISSING),
+            **{
+                head: lambda row, name=name: significant(row[name][-1])  # type: ignore[misc]
+                for head, name in _AT_THE_END.items()
+            },
+            "curve outside": lambda row: f"{100 * row['outside']:.0f} %",
+            "verdict": lambda row: clean(row["verdict"], 200),
+        },
         left=2,
         tail=1,
         raw=lambda row: (
             {**row["levels"], "block": row["block"]}
-            | {name: row[name][-1] for name in _SHOWN}
+            | {name: row[name][-1] for name in _AT_THE_END.values()}
             | {name: row[name] for name in ("outside", "verdict")}
         ),
     )
 
 
-_SHOWN = ("error_N", "u_num_N", "u_input_N", "u_data_N", "u_val_N")
+_AT_THE_END = {"E (N)": "error_N"} | {u: f"{u}_N" for u in ("u_num", "u_input", "u_data", "u_val")}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from study.ground.arrays import Array
@@ -219,7 +218,22 @@ def draw_reference(frame: pd.DataFrame) -> Canvas:
 
     figure = style.canvas(3.6)
     where, errors = figure.subplots(1, 2)
-    _arrows(where, frame)
+    spread = {axis: float(np.ptp(frame[f"{axis}_mm"])) for axis in "xyz"}
+    first, second = sorted(sorted(spread, key=lambda a: -spread[a])[:2])
+    longest = float(np.hypot(frame[f"residual_{first}_mm"], frame[f"residual_{second}_mm"]).max())
+    factor = LONGEST_ARROW * max(spread.values()) / max(longest, 1e-300)
+    where.quiver(
+        frame[f"{first}_mm"], frame[f"{second}_mm"],
+        factor * frame[f"residual_{first}_mm"], factor * frame[f"residual_{second}_mm"],
+        angles="xy", scale_units="xy", scale=1, color=style.color_of(1), width=0.004,
+    )  # fmt: skip
+    where.plot(
+        frame[f"{first}_mm"], frame[f"{second}_mm"], "o", markersize=3, color=style.color_of(0)
+    )
+    where.set(
+        xlabel=f"{first} (mm)", ylabel=f"{second} (mm)", title=f"residuals, {factor:.3g} times",
+        aspect="equal", adjustable="datalim",
+    )  # fmt: skip
     long = frame.melt("pose", ["residual_mm", "left_out_mm"], "kind", "error")
     long["kind"] = long["kind"].map(
         {"residual_mm": "left by the registration", "left_out_mm": "predicted from the others"}
@@ -232,21 +246,3 @@ def draw_reference(frame: pd.DataFrame) -> Canvas:
     errors.set_ylim(bottom=0)
     errors.legend(title="")
     return figure
-
-
-def _arrows(ax: Axes, frame: pd.DataFrame) -> None:
-    """Draw residuals as arrows in the plane of the two largest extents."""
-    spread = {axis: float(np.ptp(frame[f"{axis}_mm"])) for axis in "xyz"}
-    first, second = sorted(sorted(spread, key=lambda a: -spread[a])[:2])
-    longest = float(np.hypot(frame[f"residual_{first}_mm"], frame[f"residual_{second}_mm"]).max())
-    factor = LONGEST_ARROW * max(spread.values()) / max(longest, 1e-300)
-    ax.quiver(
-        frame[f"{first}_mm"], frame[f"{second}_mm"],
-        factor * frame[f"residual_{first}_mm"], factor * frame[f"residual_{second}_mm"],
-        angles="xy", scale_units="xy", scale=1, color=style.color_of(1), width=0.004,
-    )  # fmt: skip
-    ax.plot(frame[f"{first}_mm"], frame[f"{second}_mm"], "o", markersize=3, color=style.color_of(0))
-    ax.set(
-        xlabel=f"{first} (mm)", ylabel=f"{second} (mm)", title=f"residuals, {factor:.3g} times",
-        aspect="equal", adjustable="datalim",
-    )  # fmt: skip

@@ -264,12 +264,14 @@ def _inline(text: str, name: str, title: str) -> str:
 
 
 #: title, points, drawing and caption of a figure: the frame is computed, drawn and told of
-Plot = tuple[
-    str,
-    Callable[[], "pd.DataFrame"],
-    Callable[["pd.DataFrame"], "Canvas"],
-    Callable[["pd.DataFrame"], str] | str,
-]
+Plot = tuple[str, Callable[..., "pd.DataFrame"], Callable[..., "Canvas"], Callable[..., str] | str]
+
+
+def bound(plot: Plot, *subject: object) -> Plot:
+    """Figure of a subject, such as a response and its report: its functions take that first."""
+    title, points, draw, caption = plot
+    words = caption if isinstance(caption, str) else partial(caption, *subject)
+    return title, partial(points, *subject), partial(draw, *subject), words
 
 
 _of_data_alone: ContextVar[bool] = ContextVar("figures of data alone", default=False)

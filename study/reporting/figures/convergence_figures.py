@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from study.ground.arrays import Array
 from study.reporting.content.blocks import Document
 from study.reporting.content.tables import label_of
-from study.reporting.content.text import clean, count, name_of, percent
+from study.reporting.content.text import clean, count, name_of, percent, sentence
 from study.reporting.figures import axes as style
 
 #: more panels than these are no picture any more; the table has them all
@@ -65,7 +65,7 @@ def _titles(cells: Sequence[Document]) -> list[str]:
     return [" / ".join(labels[key] for key in shown if key in labels) for labels in levels]
 
 
-def draw_values(frame: pd.DataFrame) -> Canvas:
+def draw_values(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
     """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
     figure, axes = style.panels(len(groups), COLUMNS, 2.1)
@@ -73,7 +73,30 @@ def draw_values(frame: pd.DataFrame) -> Canvas:
         engine.set(wspace=0.05)  # type: ignore[call-arg]
     several = len(set(frame["quantity"])) > 1
     for ax, (_, part) in zip(axes, groups, strict=True):
-        _value_panel(ax, part)
+        h, v = part["mesh_size"].to_numpy(float), part["value"].to_numpy(float)
+        limit, order = part["extrapolated"].iloc[0], part["order_used"].iloc[0]
+        if limit is not None and np.isfinite(limit) and order is not None and np.isfinite(order):
+            x = np.linspace(0, h.max(), 100)
+            power_law = limit + (v[0] - limit) * (x / h[0]) ** order
+            ax.plot(x, power_law, color=style.MUTED, linewidth=1.0)
+            ax.plot([0], [limit], marker="D", color=style.MUTED, markersize=4, clip_on=False)
+        u = part["u_num"].iloc[0]
+        if u is not None and np.isfinite(u):
+            ax.errorbar(h[:1], v[:1], yerr=[u], color=style.INK, linewidth=1.0, capsize=3)
+        ax.plot(h, v, marker="o", linestyle="none", color=style.color_of(0), markersize=4.5)
+        order_seen = part["observed_order"].iloc[0]
+        is_estimated = order_seen is not None and np.isfinite(order_seen)
+        text = f"order {order_seen:.2f}" if is_estimated else str(part["behaviour"].iloc[0])
+        # on the right, above or below, where it is farther from all points
+        across, up = h / h.max(), (v - v.min()) / (float(np.ptp(v)) or 1.0)
+        room = [float(np.min(np.hypot(across - 0.85, up - height))) for height in (0.0, 1.0)]
+        free = 0.07 if room[0] >= room[1] else 0.93
+        ax.text(
+            0.97, free, text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
+            color=style.MUTED,
+        )  # fmt: skip
+        ax.set_xlim(0, 1.06 * h.max())
+        ax.margins(y=0.15)
         ax.set_title(style.wrap(part["panel"].iloc[0], 30, 90), fontsize=7.5)
         if several:
             ax.set_ylabel(style.wrap(_axis(part), 24), fontsize=7.5)
@@ -88,35 +111,6 @@ def _axis(frame: pd.DataFrame) -> str:
     return style.labeled(name_of(str(frame["quantity"].iloc[0])), clean(str(frame["unit"].iloc[0])))
 
 
-def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
-    h, v = part["mesh_size"].to_numpy(float), part["value"].to_numpy(float)
-    limit, order = part["extrapolated"].iloc[0], part["order_used"].iloc[0]
-    if limit is not None and np.isfinite(limit) and order is not None and np.isfinite(order):
-        x = np.linspace(0, h.max(), 100)
-        ax.plot(x, limit + (v[0] - limit) * (x / h[0]) ** order, color=style.MUTED, linewidth=1.0)
-        ax.plot([0], [limit], marker="D", color=style.MUTED, markersize=4, clip_on=False)
-    u = part["u_num"].iloc[0]
-    if u is not None and np.isfinite(u):
-        ax.errorbar(h[:1], v[:1], yerr=[u], color=style.INK, linewidth=1.0, capsize=3)
-    ax.plot(h, v, marker="o", linestyle="none", color=style.color_of(0), markersize=4.5)
-    order_seen = part["observed_order"].iloc[0]
-    is_estimated = order_seen is not None and np.isfinite(order_seen)
-    text = f"order {order_seen:.2f}" if is_estimated else str(part["behaviour"].iloc[0])
-    ax.text(
-        0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
-        color=style.MUTED,
-    )  # fmt: skip
-    ax.set_xlim(0, 1.06 * h.max())
-    ax.margins(y=0.15)
-
-
-def _free(h: Array, v: Array) -> float:
-    """Height at the right of a panel, top or bottom, that is farther from all its points."""
-    across, up = h / h.max(), (v - v.min()) / (float(np.ptp(v)) or 1.0)
-    room = [float(np.min(np.hypot(across - 0.85, up - height))) for height in (0.0, 1.0)]
-    return 0.07 if room[0] >= room[1] else 0.93
-
-
 def error_points(cells: Sequence[Document]) -> pd.DataFrame:
     """Relative distance of every mesh to the limit of its own series, where there is one."""
     frame = value_points(cells)
@@ -126,11 +120,16 @@ def error_points(cells: Sequence[Document]) -> pd.DataFrame:
     return positive.reset_index(drop=True)
 
 
-def draw_errors(frame: pd.DataFrame) -> Canvas:
+def draw_errors(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
     """Draw the error against the mesh size in logarithms, with the formal slope beside."""
     figure, ax = style.one_panel(3.8)
     _errors_of_cells(ax, frame, "mesh_size")
-    _slopes(ax, frame)
+    h = np.array([frame["mesh_size"].min(), frame["mesh_size"].max()])
+    start = float(frame["error"].min()) / 2
+    for k, order in enumerate(sorted({round(float(p), 2) for p in frame["formal_order"].dropna()})):
+        y = start * 0.7**k * (h / h[0]) ** order
+        ax.plot(h, y, color=style.RULE, linewidth=1.2, linestyle="--", zorder=0)
+        ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=style.MUTED, va="center")
     _logarithmic(ax, "mesh size (mm)", "distance to the limit, part of it")
     sizes = np.geomspace(frame["mesh_size"].min(), frame["mesh_size"].max(), 5)
     ax.set_xticks(sizes, [f"{size:.2g}" for size in sizes])
@@ -146,20 +145,15 @@ def _errors_of_cells(ax: Axes, frame: pd.DataFrame, across: str) -> None:
         )  # fmt: skip
 
 
-def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
-    """Draw a line of each formal order below the points."""
-    h = np.array([frame["mesh_size"].min(), frame["mesh_size"].max()])
-    start = float(frame["error"].min()) / 2
-    for k, order in enumerate(sorted({round(float(p), 2) for p in frame["formal_order"].dropna()})):
-        y = start * 0.7**k * (h / h[0]) ** order
-        ax.plot(h, y, color=style.RULE, linewidth=1.2, linestyle="--", zorder=0)
-        ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=style.MUTED, va="center")
+def front_points(front: Document) -> pd.DataFrame:
+    """Error and seconds of every solution."""
+    return pd.DataFrame(front["points"])
 
 
-def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
+def draw_front(front: Document, frame: pd.DataFrame) -> Canvas:
     """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
     figure, ax = style.one_panel(3.8)
-    frame = frame.assign(error=frame["error"].clip(lower=1e-12))
+    accuracy, frame = front["accuracy"], frame.assign(error=frame["error"].clip(lower=1e-12))
     ax.axhspan(float(frame["error"].min()) / 3, accuracy, color=style.BAND, zorder=0)
     ax.axhline(accuracy, color=style.MUTED, linewidth=0.8)
     _errors_of_cells(ax, frame, "seconds")
@@ -204,7 +198,7 @@ def _logarithmic(ax: Axes, x: str, y: str) -> None:
     ax.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
-def value_caption(cells: Sequence[Document]) -> str:
+def value_caption(cells: Sequence[Document], _frame: pd.DataFrame) -> str:
     """State how many cells converge, and what the marks are."""
     good = [c for c in cells if c["u_num"] is not None and c["behaviour"] != DIVERGENT]
     shares = [c["u_num"] / abs(c["value"][0]) for c in good if c["value"][0]]
@@ -219,7 +213,7 @@ def value_caption(cells: Sequence[Document]) -> str:
     return f"{text}. Points: meshes{line}{bar}.{more}"
 
 
-def error_caption(cells: Sequence[Document]) -> str:
+def error_caption(cells: Sequence[Document], _frame: pd.DataFrame) -> str:
     """State observed beside formal orders, and why the formal order is what it is."""
     orders = [c["observed_order"] for c in cells if c["observed_order"] is not None]
     if not orders:
@@ -227,6 +221,16 @@ def error_caption(cells: Sequence[Document]) -> str:
     why = "; ".join(dict.fromkeys(str(c["formal_reason"]) for c in cells if c.get("formal_reason")))
     text = f"Observed orders {min(orders):.2f} to {max(orders):.2f}."
     return f"{text} Dashed: the formal order, limited by {why}." if why else text
+
+
+VALUES: style.Plot = ("Value against mesh size", value_points, draw_values, value_caption)
+FRONT: style.Plot = (
+    "Error against seconds",
+    front_points,
+    draw_front,
+    lambda front, _: sentence(front["answer"]),
+)
+ERRORS: style.Plot = ("Error and formal order", error_points, draw_errors, error_caption)
 
 
 # Comparison of simulation and measurement: E and u_val along the curve (ASME V&V 20).
@@ -245,7 +249,7 @@ def validation_error_points(rows: Sequence[Document]) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
+def draw_validation_errors(_rows: Sequence[Document], frame: pd.DataFrame) -> Canvas:
     """Draw E along the curve on the band of u_val, a panel a cell, on shared axes."""
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
     figure, axes = style.panels(len(groups), COLUMNS, 1.9, sharex=True, sharey=True)
@@ -260,7 +264,7 @@ def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
     return figure
 
 
-def caption(rows: Sequence[Document]) -> str:
+def validation_caption(rows: Sequence[Document], _frame: pd.DataFrame) -> str:
     """State in how many cells the model's error shows, and what is not known."""
     judged = [row for row in rows if row["u_val_N"][-1] > 0]
     rest = len(rows) - len(judged)
@@ -274,3 +278,11 @@ def caption(rows: Sequence[Document]) -> str:
         f"cells{block}{unjudged}. Band: u_val, from mesh, uncertain "
         f"inputs and scatter of the data.{lacking}"
     )
+
+
+VALIDATION: style.Plot = (
+    "Comparison error along the curve",
+    validation_error_points,
+    draw_validation_errors,
+    validation_caption,
+)

@@ -1,4 +1,4 @@
-"""Figure of a calibration: every measured curve with its fit or prediction."""
+"""Figures of curves: fits of a calibration, recordings, markers, predictions of a study."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.reporting.content.report_facts import block_name
-from study.reporting.content.text import THIN, clean, quantity
+from study.reporting.content.text import THIN, clean, count, listing, name_of, quantity, sentence
 from study.reporting.figures import axes as style
 from study.reporting.results.study_result import CurvePair, ReportData
 
@@ -124,28 +124,24 @@ def draw_recordings(frame: pd.DataFrame) -> Canvas:
     if len(titles) == 1:
         figure.set_figwidth(0.6 * style.WIDTH_IN)
     for ax, title in zip(axes, titles, strict=True):
-        _recording_panel(ax, frame[frame["test"] == title], title)
+        rows = frame[frame["test"] == title]
+        thin = rows.iloc[:: max(1, len(rows) // _DRAWN)]
+        ax.plot(thin["far"], thin["hard"], color=style.RULE, linewidth=0.6, zorder=1)
+        grays = itertools.cycle(("#8a929b", "#b3bac1", "#6b737b"))
+        for why, part in thin.groupby("set_aside", sort=False):
+            used = why == ""
+            label = "used" if used else f"set aside: {why}"
+            color = style.color_of(0) if used else next(grays)
+            ax.plot(part["far"], part["hard"], ".", color=color, markersize=2.4, label=label,
+                    zorder=3 if used else 2)  # fmt: skip
+        ax.set_title(clean(title, 44), fontsize=7.5)
+        for column, write in (("far_name", ax.set_xlabel), ("hard_name", ax.set_ylabel)):
+            name = str(rows[column].iloc[0])
+            words = style.labeled(f"recorded {name.replace('_', ' ')}", _UNITS.get(name))
+            write(words, fontsize=8)
+        ax.grid(axis="y")
+        ax.legend(loc="best", fontsize=6.5)
     return figure
-
-
-def _recording_panel(ax: Axes, rows: pd.DataFrame, title: str) -> None:
-    thin = rows.iloc[:: max(1, len(rows) // _DRAWN)]
-    ax.plot(thin["far"], thin["hard"], color=style.RULE, linewidth=0.6, zorder=1)
-    grays = itertools.cycle(("#8a929b", "#b3bac1", "#6b737b"))
-    for why, part in thin.groupby("set_aside", sort=False):
-        used = why == ""
-        label = "used" if used else f"set aside: {why}"
-        color = style.color_of(0) if used else next(grays)
-        ax.plot(part["far"], part["hard"], ".", color=color, markersize=2.4, label=label,
-                zorder=3 if used else 2)  # fmt: skip
-    ax.set_title(clean(title, 44), fontsize=7.5)
-    for column, write in (("far_name", ax.set_xlabel), ("hard_name", ax.set_ylabel)):
-        quantity_name = str(rows[column].iloc[0])
-        unit = _UNITS.get(quantity_name)
-        words = f"recorded {quantity_name.replace('_', ' ')}" + (f" ({unit})" if unit else "")
-        write(words, fontsize=8)
-    ax.grid(axis="y")
-    ax.legend(loc="best", fontsize=6.5)
 
 
 # Errors of markers inside a specimen, layer by layer and state by state.
@@ -170,7 +166,7 @@ def layer_points(data: ReportData) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def draw_layers(frame: pd.DataFrame) -> Canvas:
+def draw_layers(_data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw a panel a state: a line for each cell, colored by the first factor."""
     import seaborn as sns
 
@@ -199,7 +195,7 @@ def draw_layers(frame: pd.DataFrame) -> Canvas:
     return figure
 
 
-def caption(frame: pd.DataFrame) -> str:
+def layers_caption(_data: ReportData, frame: pd.DataFrame) -> str:
     """Say which level of the first factor leaves the smallest error in the last state."""
     last = frame[frame["state"] == frame["state"].iloc[-1]]
     mean = last.groupby("group", sort=False)["error_mm"].mean()
@@ -356,7 +352,7 @@ RESIDUAL_IN = 0.65
 NAMES_IN_ROW = 5
 
 
-def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
+def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> Canvas:
     """Draw every panel: measured points, predictions on them, residuals below.
 
     Axes are placed in inches: to measure the text of 48 of them takes a layout engine seconds.
@@ -365,7 +361,15 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
     columns = min(max(levels, (4 // levels) * levels), number)
     rows = -(-number // columns)
     titles = panel_titles(panels, style.WIDTH_IN / columns, data)
-    handles = _handles(panels, data)
+    points = Line2D(
+        [], [], color=style.INK, marker="o", markersize=3, linestyle="none", label="measured"
+    )
+    handles: list[Line2D | Patch] = [points]
+    if panels.frame["scatter_N"].notna().any():
+        handles.append(Patch(color=SCATTER, label="standard deviation of the repeats"))
+    drawn = set(panels.frame["line"])
+    names = [(k, name) for k, name in enumerate(data.factors[panels.line]) if name in drawn]
+    handles += [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
     title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
     top_in = 0.05 + 1.3 * LINE_IN * -(-len(handles) // NAMES_IN_ROW)
     height = 0.5 + top_in + rows * (title_in + FORCE_IN + RESIDUAL_IN)
@@ -409,6 +413,30 @@ def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
     return figure
 
 
+def curves_caption(panels: CurvePanels, data: ReportData, frame: pd.DataFrame) -> str:
+    """Say what is drawn, what is held fixed, and how large the residuals are."""
+    gap = (frame["predicted_N"] - frame["measured_N"]).abs()
+    worst = frame.iloc[int(np.nanargmax(gap.to_numpy()))]
+    text = (
+        "force above, predicted minus measured below; the largest residual is "
+        f"{quantity(gap.max(), 'N')} ({clean(worst['line'])}, "
+        f"{block_name(str(worst['block']), data)})"
+    )
+    if panels.is_relative:
+        text += (
+            ". Each panel is in percent of its largest measured force, since forces differ too "
+            "much for one axis in N"
+        )
+    if frame["predicted_N"].isna().any():
+        text += ". A line that ends early belongs to a simulation that stopped there"
+    if held := [f"{name_of(k, data.labels)} = {clean(v)}" for k, v in panels.fixed.items()]:
+        text += f". Shown with {listing(held)}"
+    if panels.left_out:
+        unit = clean(data.block) or "block"
+        text += f"; {count(panels.left_out, f'more {unit}')} not shown"
+    return sentence(text)
+
+
 def panel_titles(panels: CurvePanels, width_in: float, data: ReportData) -> tuple[str, ...]:
     """Title of every panel, wrapped to its width; no two are the same words."""
     width = max(int(width_in / CHARACTER_IN) - 4, 8)
@@ -447,19 +475,6 @@ def _look_of(index: int) -> dict[str, Any]:
     return {"color": style.color_of(index), "linestyle": style.DASHES[index % 4], "linewidth": 1.1}
 
 
-def _handles(panels: CurvePanels, data: ReportData) -> list[Line2D | Patch]:
-    """Entries of the legend: points, bands, and the level of every line."""
-    points = Line2D(
-        [], [], color=style.INK, marker="o", markersize=3, linestyle="none", label="measured"
-    )
-    handles: list[Line2D | Patch] = [points]
-    if panels.frame["scatter_N"].notna().any():
-        handles.append(Patch(color=SCATTER, label="standard deviation of the repeats"))
-    drawn = set(panels.frame["line"])
-    names = [(k, name) for k, name in enumerate(data.factors[panels.line]) if name in drawn]
-    return handles + [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
-
-
 # One curve by itself.
 
 
@@ -472,3 +487,12 @@ def draw_curve(curve: Curve) -> Canvas:
     ax.grid(axis="y")
     ax.set(xlabel="displacement (mm)", ylabel="force (N)")
     return figure
+
+
+CURVES: style.Plot = (
+    "Measured and predicted force",
+    lambda panels, _: panels.frame,
+    draw_curves,
+    curves_caption,
+)
+MARKERS: style.Plot = ("Errors by layer", layer_points, draw_layers, layers_caption)

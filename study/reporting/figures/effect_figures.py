@@ -1,10 +1,10 @@
-"""Means of cells: every combination of levels, its rows and its mean."""
+"""Figures of the effects on a response: level means, interactions, cells, what matters."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import repeat
+from itertools import combinations, repeat
 
 import numpy as np
 import pandas as pd
@@ -19,8 +19,19 @@ from study.reporting.content.effect_words import (
     size_interval,
     sole_setting,
 )
-from study.reporting.content.report_facts import Facts, cells, comparable
-from study.reporting.content.text import clean, level, name_of, quantity, significant, term_name
+from study.reporting.content.report_facts import Facts, cells, comparable, practical_of
+from study.reporting.content.text import (
+    clean,
+    level,
+    listing,
+    name_of,
+    p_phrase,
+    quantity,
+    sentence,
+    share,
+    significant,
+    term_name,
+)
 from study.reporting.figures import axes as style
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
@@ -35,31 +46,23 @@ _JOINED = {
 # Means of levels of every factor, beside the grand mean.
 
 
-def level_means(facts: Facts) -> pd.DataFrame:
+def level_means(facts: Facts, _data: ReportData) -> pd.DataFrame:
     """Mean of every level of every factor, with its interval where there is one."""
     rows = [
         (effect.term, level, mean, *ends)
         for effect in facts.effects
         for level, mean, ends in zip(
-            effect.levels,
-            effect.mean,
-            effect.mean_ci95 or repeat((None, None)),
-            strict=False,
+            effect.levels, effect.mean, effect.mean_ci95 or repeat((None, None)), strict=False
         )
     ]
     frame = pd.DataFrame(rows, columns=["factor", "level", "mean", "low", "high"])
     return frame.astype({"mean": float, "low": float, "high": float})
 
 
-def grand_mean(data: ReportData, facts: Facts) -> float:
-    """Mean over the cells, geometric for a log response."""
-    means = cells(data, facts.name)["mean"].to_numpy(float)
-    return float(np.exp(np.log(means).mean()) if facts.ratio else means.mean())
-
-
-def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
+def draw_level_means(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw the main effects, a panel a factor, grand mean and practical band behind."""
-    center = grand_mean(data, facts)
+    over_cells = cells(data, facts.name)["mean"].to_numpy(float)
+    center = float(np.exp(np.log(over_cells).mean()) if facts.ratio else over_cells.mean())
     practical = next((e.practical for e in facts.effects if e.practical is not None), None)
     factors = list(frame.groupby("factor", sort=False))
     figure = style.canvas(3.5)
@@ -91,10 +94,34 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
     return figure
 
 
-def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
+def means_caption(facts: Facts, data: ReportData, _frame: pd.DataFrame) -> str:
+    """Say which share of the variation between cells each factor has."""
+    shares = [
+        (row.share, term_name(row.term, data.labels))
+        for row in facts.rows
+        if row.term in data.factors and row.share is not None and row.df
+    ]
+    text = listing([f"{name} {share(part)}" for part, name in sorted(shares, reverse=True)])
+    has_ends = any(effect.mean_ci95 for effect in facts.effects)
+    ends = f" with {level(facts.alpha)} intervals" if has_ends else ""
+    parts = [f"level means{ends} on one shared axis"]
+    if shares:
+        parts.append(f"share of the total variation: {text}")
+    if facts.has_size:
+        parts.append("two means inside the shaded band differ by less than what matters")
+    return sentence("; ".join(parts))
+
+
+# Cells: every combination of levels, its rows and its mean.
+
+#: cells that are drawn, the best of many
+_MOST_CELLS = 48
+
+
+def cell_points(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Every observation of the best cells with the rank of its cell, best first."""
     factors, rows = list(data.factors), comparable(data, facts.name)
-    ranked = cells(data, facts.name)[:: -1 if facts.better == "higher" else 1].head(most)
+    ranked = cells(data, facts.name)[:: -1 if facts.better == "higher" else 1].head(_MOST_CELLS)
     levels = ranked[factors].itertuples(index=False)
     names = [" \N{MIDDLE DOT} ".join(map(clean, cell)) for cell in levels]
     ranked = ranked[factors].assign(label=names, cell_mean=ranked["mean"], rank=range(len(ranked)))
@@ -103,31 +130,19 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
     return every.sort_values("rank", kind="stable", ignore_index=True)
 
 
-def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
+def draw_cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw cells as rows: individual points, mean on top, thin lines pairing the blocks."""
-    count = int(frame["rank"].max()) + 1
-    figure, ax = style.one_panel(0.8 + 0.24 * count)
+    import seaborn as sns
+
+    number = int(frame["rank"].max()) + 1
+    figure, ax = style.one_panel(0.8 + 0.24 * number)
     best = float(frame["cell_mean"].iloc[0])
+    practical = practical_of(facts, cells(data, facts.name))
     if facts.better and practical > 0:
         sign = -1 if facts.better == "higher" else 1
         ax.axvspan(best, best + sign * practical, color=style.BAND, zorder=0)
         style.above(ax, "as good as the best", best + sign * practical / 2)
     means = frame.drop_duplicates("rank")
-    _mark_cells(ax, frame, means)
-    for mean, rank in zip(means["cell_mean"], means["rank"], strict=True):
-        style.at_right(ax, significant(float(mean)), float(rank))
-    style.name_rows(ax, means["rank"], [style.wrap(label, 56, 130) for label in means["label"]])
-    ax.set_ylim(count - 0.4, -0.8)
-    ax.set(xlabel=style.labeled(facts.title, facts.unit), ylabel="")
-    ax.grid(axis="y")
-    style.clean_left(ax)
-    return figure
-
-
-def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
-    """Draw a row of points a cell, its mean on top and the lines of the blocks behind."""
-    import seaborn as sns
-
     if "block" in frame and 0 < frame["block"].nunique() <= 40:
         thin = {"color": style.MUTED, "alpha": 0.28, "linewidth": 0.5}
         sns.lineplot(
@@ -140,6 +155,28 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
     )  # fmt: skip
     diamonds = {"marker": "D", "color": style.INK, "s": 26, "linewidth": 0}
     sns.scatterplot(means, x="cell_mean", y="rank", zorder=3, legend=False, ax=ax, **diamonds)
+    for mean, rank in zip(means["cell_mean"], means["rank"], strict=True):
+        style.at_right(ax, significant(float(mean)), float(rank))
+    style.name_rows(ax, means["rank"], [style.wrap(label, 56, 130) for label in means["label"]])
+    ax.set_ylim(number - 0.4, -0.8)
+    ax.set(xlabel=style.labeled(facts.title, facts.unit), ylabel="")
+    ax.grid(axis="y")
+    style.clean_left(ax)
+    return figure
+
+
+def cells_caption(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
+    """Say what the points are, and how far the cells and the blocks differ."""
+
+    def run(values: pd.Series) -> str:
+        return f"run from {significant(values.min())} to {quantity(values.max(), facts.unit)}"
+
+    unit, kind = clean(data.block) or "run", "geometric cell means" if facts.ratio else "cell means"
+    text = f"{kind} (diamonds) {run(frame['cell_mean'])}; each dot is one {unit}"
+    if "block" in frame and frame["block"].notna().any():
+        of_blocks = run(frame.groupby("block")["value"].mean())
+        text += f", joined across cells by a thin line; {unit} means {of_blocks}"
+    return sentence(text)
 
 
 # Interactions: a panel for every pair of factors.
@@ -148,29 +185,41 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
 _MOST_NAMED = 7
 
 
-def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
+def pair_means(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Mean of every combination of two levels, for every pair of factors."""
-    frame = cells(data, facts.name)
-    log = facts.ratio
-    rows = []
-    names = list(data.factors)
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            values = frame.assign(y=np.log(frame["mean"]) if log else frame["mean"])
-            means = values.groupby([first, second], sort=False)["y"].mean()
-            for key, mean in zip(means.index.tolist(), means.to_numpy(float), strict=True):
-                rows.append((first, key[0], second, key[1], float(np.exp(mean) if log else mean)))
+    frame, rows = cells(data, facts.name), []
+    values = frame.assign(y=np.log(frame["mean"]) if facts.ratio else frame["mean"])
+    for first, other in combinations(data.factors, 2):
+        means = values.groupby([first, other], sort=False)["y"].mean()
+        for (at, at_other), mean in zip(means.index.tolist(), means.tolist(), strict=True):
+            y = float(np.exp(mean)) if facts.ratio else mean
+            rows.append((first, at, other, at_other, y))
     return pd.DataFrame(rows, columns=["factor", "level", "other", "other_level", "mean"])
 
 
-def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
+def draw_interactions(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw a panel a pair of factors: a line for each level of one over the levels of the other."""
+    import seaborn as sns
+
     pairs = list(frame.groupby(["factor", "other"], sort=False))
     figure, axes = style.panels(len(pairs), 3, 2.1, 0.3, sharey=True)
     for ax, (names, pair) in zip(axes, pairs, strict=True):
         first, second = map(str, names)
         levels, across = data.factors[first], data.factors[second]
-        _connect_pairs(ax, pair, levels, across)
+        numbers = range(len(levels))
+        sns.pointplot(
+            x=pair["other_level"].map({level: rank for rank, level in enumerate(across)}),
+            y=pair["mean"],
+            hue=pair["level"].map({level: number for number, level in enumerate(levels)}),
+            hue_order=numbers,
+            order=range(len(across)),
+            palette=[style.color_of(index) for index in numbers],
+            markers=[style.MARKERS[index % 8] for index in numbers],
+            linestyles=[style.DASHES[index % len(style.DASHES)] for index in numbers],
+            markersize=4,
+            ax=ax,
+            **_JOINED | {"native_scale": False},
+        )
         named = [f" {clean(level, 24)}" for level in levels[:_MOST_NAMED]]
         title = clean(name_of(first, data.labels), 22)
         ax.legend(ax.lines[: len(named)], named, title=title, fontsize=7, title_fontsize=7)
@@ -183,25 +232,18 @@ def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Ca
     return figure
 
 
-def _connect_pairs(
-    ax: Axes, pair: pd.DataFrame, levels: Sequence[str], across: Sequence[str]
-) -> None:
-    """Draw the lines of a pair; a combination that has no mean is a gap."""
-    import seaborn as sns
-
-    numbers = range(len(levels))
-    sns.pointplot(
-        x=pair["other_level"].map({level: rank for rank, level in enumerate(across)}),
-        y=pair["mean"],
-        hue=pair["level"].map({level: number for number, level in enumerate(levels)}),
-        hue_order=numbers,
-        order=range(len(across)),
-        palette=[style.color_of(index) for index in numbers],
-        markers=[style.MARKERS[index % 8] for index in numbers],
-        linestyles=[style.DASHES[index % len(style.DASHES)] for index in numbers],
-        markersize=4,
-        ax=ax,
-        **_JOINED | {"native_scale": False},
+def interactions_caption(facts: Facts, data: ReportData, _frame: pd.DataFrame) -> str:
+    """Say which interaction is the largest."""
+    estimated = [e for e in facts.interactions if e.term.count(":") == 1 and e.range is not None]
+    key = "lines that are parallel mean that the factors act independently"
+    if not estimated:
+        return sentence(key)
+    first = max(estimated, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
+    decided = next((row.p_deciding for row in facts.rows if row.term == first.term), None)
+    p = "" if decided is None else f", {p_phrase(decided)}"
+    return sentence(
+        f"the largest two-factor interaction is {term_name(first.term, data.labels)}, "
+        f"{size(first, facts)}{p}; {key}"
     )
 
 
@@ -293,25 +335,6 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
         look = {"ha": "center", "color": style.MUTED, "xycoords": top}
         style.note(ax, "too small to matter", (0, 1.0), (0, 3), **look)
     ax.axvline(0, color=style.MUTED, linewidth=0.7)
-    _mark_multiples(ax, frame, places)
-    by_name = {facts.name: facts for facts in all_facts}
-    for y, response in heads:
-        edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
-        bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
-        style.note(ax, clean(by_name[response].title, 60), (0, y), (-3.5, 0), **bold)
-    style.name_rows(ax, places, [style.wrap(name, 40, 80) for name in frame["name"]], 8)
-    for y, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
-        style.at_right(
-            ax, f"{verdict}:  {words}" if verdict else words, y, _WORD_COLOR.get(verdict)
-        )
-    ax.set_ylim(height - 0.4, -0.7)
-    _scale_of_multiples(ax, frame, limited, all_facts)
-    style.clean_left(ax)
-    return figure
-
-
-def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> None:
-    """Draw every interval, thinner where mesh error widens it, and the difference on it."""
     at, verdicts = np.asarray(places), [str(verdict) for verdict in frame["verdict"]]
     colors = [_VERDICT_COLOR.get(verdict, style.MUTED) for verdict in verdicts]
     low, high, bound, size_of = (
@@ -327,6 +350,20 @@ def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> Non
             [x], [y], _VERDICT_MARKER.get(verdict, "o"), color=color, markerfacecolor=face,
             markersize=6.5, markeredgewidth=1.4,
         )  # fmt: skip
+    by_name = {facts.name: facts for facts in all_facts}
+    for y, response in heads:
+        edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
+        bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
+        style.note(ax, clean(by_name[response].title, 60), (0, y), (-3.5, 0), **bold)
+    style.name_rows(ax, places, [style.wrap(name, 40, 80) for name in frame["name"]], 8)
+    for y, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
+        style.at_right(
+            ax, f"{verdict}:  {words}" if verdict else words, y, _WORD_COLOR.get(verdict)
+        )
+    ax.set_ylim(height - 0.4, -0.7)
+    _scale_of_multiples(ax, frame, limited, all_facts)
+    style.clean_left(ax)
+    return figure
 
 
 def _scale_of_multiples(
@@ -352,3 +389,10 @@ def _scale_of_multiples(
     ax.set_xlim(low * 1.05, high * 1.06)
     ends = f", with {level(facts.alpha)} interval" if frame["low"].notna().any() else ""
     ax.set_xlabel(f"largest difference between levels, as a multiple of what matters{ends}")
+
+
+PLOTS: dict[str, style.Plot] = {
+    "means": ("Main effects", level_means, draw_level_means, means_caption),
+    "interactions": ("Interactions", pair_means, draw_interactions, interactions_caption),
+    "cells": ("Cells", cell_points, draw_cells, cells_caption),
+}

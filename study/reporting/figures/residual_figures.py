@@ -10,9 +10,22 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.typing import HashableList
+from scipy.special import chdtri, ndtri
 
+from study.reporting.content.effect_words import normality_phrase
 from study.reporting.content.report_facts import Facts
-from study.reporting.content.text import clean, count, name_of, p_value, sentence, term_name
+from study.reporting.content.text import (
+    clean,
+    count,
+    listing,
+    name_of,
+    p_phrase,
+    p_value,
+    quantity,
+    sentence,
+    significant,
+    term_name,
+)
 from study.reporting.figures import axes as style
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.unreplicated import pseudo_standard_error
@@ -60,41 +73,30 @@ def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
+def draw_contrasts(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw the Pareto plot on the left, the half-normal plot on the right."""
+    import seaborn as sns
+
     shown = frame.head(_MOST_BARS)
     figure = style.canvas(max(3.4, 1.0 + 0.2 * len(shown)))
     pareto, half = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     label = style.labeled("absolute contrast", facts.scale)
-    _pareto(pareto, shown, label)
-    _half_normal(half, frame, label)
-    return figure
-
-
-def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
-    import seaborn as sns
-
-    places = np.arange(len(frame))
+    places = np.arange(len(shown))
     sns.barplot(
-        x=frame["size"], y=places, hue=frame["active"], palette=_CONTRAST_COLORS, orient="y",
+        x=shown["size"], y=places, hue=shown["active"], palette=_CONTRAST_COLORS, orient="y",
         native_scale=True, dodge=False, saturation=1, width=0.66, errorbar=None, legend=False,
-        ax=ax,
+        ax=pareto,
     )  # fmt: skip
     for column, dashes, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
-        limit = float(frame[column].iloc[0])
-        ax.axvline(limit, color=style.INK, linewidth=0.8, linestyle=dashes)
-        style.above(ax, name, limit)
-    style.name_rows(ax, places, [style.wrap(name, 30) for name in frame["name"]])
-    ax.set_ylim(len(frame) - 0.4, -0.6)
-    style.clean_left(ax)
-    ax.set_xlabel(f"{label}; limits for one, for all")
-
-
-def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
-    import seaborn as sns
-
+        limit = float(shown[column].iloc[0])
+        pareto.axvline(limit, color=style.INK, linewidth=0.8, linestyle=dashes)
+        style.above(pareto, name, limit)
+    style.name_rows(pareto, places, [style.wrap(name, 30) for name in shown["name"]])
+    pareto.set_ylim(len(shown) - 0.4, -0.6)
+    style.clean_left(pareto)
+    pareto.set_xlabel(f"{label}; limits for one, for all")
     ordered = frame.sort_values("score")
-    ax.fill_between(
+    half.fill_between(
         ordered["score"],
         np.sort(frame["low"]),
         np.sort(frame["high"]),
@@ -103,14 +105,34 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
     )
     sns.scatterplot(
         frame, x="score", y="size", hue="active", style="active", palette=_CONTRAST_COLORS,
-        markers={True: "D", False: "o"}, s=30, linewidth=0, legend=False, ax=ax,
+        markers={True: "D", False: "o"}, s=30, linewidth=0, legend=False, ax=half,
     )  # fmt: skip
     for name, score, size in zip(*(frame[c] for c in ("name", "score", "size")), strict=True):
         if size > float(frame["margin"].iloc[0]):
-            style.note(ax, name, (score, size), (-6, 0), ha="right", va="center")
-    ax.set_ylim(bottom=0)
-    ax.set_xlim(left=0)
-    ax.set(xlabel="half-normal score, with the 95 % envelope of no effect", ylabel=label)
+            style.note(half, name, (score, size), (-6, 0), ha="right", va="center")
+    half.set_ylim(bottom=0)
+    half.set_xlim(left=0)
+    half.set(xlabel="half-normal score, with the 95 % envelope of no effect", ylabel=label)
+    return figure
+
+
+def contrasts_caption(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> str:
+    """Say which contrasts stand out, and what the limits are."""
+    beyond = frame[frame["active"]]
+    m = count(len(frame), "contrast")
+    if beyond.empty:
+        finding = f"none of the {m} exceeds the margin of error"
+    else:
+        named = [
+            f"{name} ({p_phrase(p)})" for name, p in zip(beyond["name"], beyond["p"], strict=True)
+        ]
+        shown = named if len(named) <= 5 else [*named[:5], f"{len(named) - 5} more"]
+        finding = f"beyond the margin of error, of {m}: {listing(shown)}"
+    margin, every = (quantity(frame[k].iloc[0], facts.scale) for k in ("margin", "simultaneous"))
+    return sentence(
+        f"{finding}. Dashed: limit of one contrast, {margin}; dotted: of all together, {every} "
+        "(Lenth, simulated); contrasts that follow the shaded envelope look like no effect at all"
+    )
 
 
 # Figures of assumptions: four views of the residuals, and the spread of the cells.
@@ -118,7 +140,7 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
 _SIMULATIONS = 1000
 
 
-def diagnostic_residual_points(facts: Facts) -> pd.DataFrame:
+def diagnostic_residual_points(facts: Facts, _data: ReportData) -> pd.DataFrame:
     """Residuals of one representative of each computation, with their normal scores."""
     if facts.result is None or facts.result.residuals.empty:
         raise ValueError("there are no residuals")
@@ -165,16 +187,14 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
     ax.set(xlabel="", ylabel=label)
 
 
-def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
+def spread_of_cells(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Give each cell's deviation with a chi-squared interval, approximate after blocks."""
-    from scipy.special import chdtri
-
-    frame = diagnostic_residual_points(facts)
+    frame = diagnostic_residual_points(facts, data)
     grouped = frame.groupby("cell", sort=False)["residual"].agg(["std", "count"])
     grouped = grouped[grouped["count"] > 1].sort_values("std", ascending=False)
     if grouped.empty:
         raise ValueError("no cell holds two residuals")
-    tail = alpha / (2 * len(grouped))
+    tail = data.alpha / (2 * len(grouped))
     df = grouped["count"].to_numpy(float) - 1
     sd = grouped["std"].to_numpy(float)
     return pd.DataFrame(
@@ -193,7 +213,7 @@ def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
 MOST_SPREAD = 60
 
 
-def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
+def draw_spread(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
     import seaborn as sns
 
@@ -214,6 +234,18 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     return figure
 
 
+def spread_caption(_facts: Facts, _data: ReportData, frame: pd.DataFrame) -> str:
+    """Say how far the largest and the smallest standard deviation are apart."""
+    low, high = float(frame["sd"].min()), float(frame["sd"].max())
+    apart = float(frame["low"].max()) > float(frame["high"].min())
+    ratio = f"{significant(high / low)} times" if low > 0 else "far above"
+    few = f"; the {MOST_SPREAD} largest of {len(frame)} are drawn" * (len(frame) > MOST_SPREAD)
+    return sentence(
+        f"the largest standard deviation is {ratio} the smallest, and the intervals "
+        f"{'do not all overlap' if apart else 'all overlap'}{few}"
+    )
+
+
 # Residual plots of a table of measurements: four in one, against the factors, influence.
 #
 # At most :data:`MOST_POINTS` rows are drawn, the largest residuals among them: a drawing of 100,000
@@ -230,8 +262,6 @@ NAMED = 5
 
 def residual_points(rows: pd.DataFrame) -> pd.DataFrame:
     """Every row with the normal score of its residual (Blom 1958)."""
-    from scipy.special import ndtri
-
     n = len(rows)
     order = rows["residual"].rank(method="first").to_numpy(float)
     return rows.assign(score=ndtri((order - 0.375) / (n + 0.25)))
@@ -257,9 +287,11 @@ def drawn_words(points: pd.DataFrame) -> str:
 
 
 def draw_residuals(
-    points: pd.DataFrame, facts: Facts, data: ReportData, *, ordered: bool = False
+    facts: Facts, data: ReportData, points: pd.DataFrame, *, ordered: bool = False
 ) -> Canvas:
     """Draw views of the residuals; rows of a table have an order, runs have none."""
+    import seaborn as sns
+
     rows: list[HashableList[str]]
     rows = [["normal", "fits"], ["histogram", "order"], ["factors", "factors"]]
     if not ordered:
@@ -267,28 +299,10 @@ def draw_residuals(
     figure = style.canvas(2.85 * len(rows))
     panels = figure.subplot_mosaic(rows)
     shown, label = thinned(points, data.seed), style.labeled("residual", facts.scale)
-    _probability(panels["normal"], shown, points, facts, data.seed, label)
-    _against(panels["fits"], shown["fitted"], shown["residual"])
-    where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
-    panels["fits"].set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
-    _histogram(panels["histogram"], points["residual"].to_numpy(float), label)
-    _against_factors(panels["factors"], shown, data, label)
-    if ordered:
-        last = panels["order"]
-        _against(last, shown["row"], shown["residual"])
-        if len(shown) <= MOST_JOINED:
-            last.lines[-1].set(linestyle="-", linewidth=0.7)
-        last.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
-    return figure
-
-
-def _probability(
-    ax: Axes, shown: pd.DataFrame, points: pd.DataFrame, facts: Facts, seed: int, label: str
-) -> None:
-    """Draw residuals against normal scores, with the envelope of normal data where n is small."""
+    ax = panels["normal"]
     spread = float(points["residual"].std(ddof=1))
     if len(points) <= MOST_POINTS:
-        low, high = envelope(len(points), spread, seed)
+        low, high = envelope(len(points), spread, data.seed)
         ax.fill_between(np.sort(points["score"]), low, high, color=style.BAND, linewidth=0)
     ends = np.array([points["score"].min(), points["score"].max()])
     ax.plot(ends, ends * spread, color=style.MUTED, linewidth=0.8)
@@ -301,20 +315,36 @@ def _probability(
         text = f"RJ = {normality.rj:.4f}{tail}"
         ax.text(0.03, 0.97, text, transform=ax.transAxes, va="top", fontsize=8)
     ax.set(title="normal probability plot", xlabel="normal score", ylabel=label)
+    _against(panels["fits"], shown["fitted"], shown["residual"])
+    where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
+    panels["fits"].set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
+    bins = int(np.clip(np.ceil(1 + np.log2(len(points))), 4, 40))  # Sturges 1926
+    look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
+    values = points["residual"].to_numpy(float)
+    sns.histplot(x=values, bins=bins, alpha=1, ax=panels["histogram"], **look)
+    panels["histogram"].set(title="histogram", xlabel=label, ylabel="rows")
+    _against_factors(panels["factors"], shown, data, label)
+    if ordered:
+        last = panels["order"]
+        _against(last, shown["row"], shown["residual"])
+        if len(shown) <= MOST_JOINED:
+            last.lines[-1].set(linestyle="-", linewidth=0.7)
+        last.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
+    return figure
+
+
+def residuals_caption(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
+    """Summarize the four panels and the test."""
+    return sentence(
+        f"{count(len(frame), 'residual')} of block and cell, one cell for each distinct "
+        f"computation; {normality_phrase(facts, data.alpha)}. Run order means nothing for "
+        "deterministic runs, so residuals stand against the factors instead"
+    )
 
 
 def _against(ax: Axes, x: pd.Series, residual: pd.Series) -> None:
     ax.axhline(0, color=style.MUTED, linewidth=0.7)
     ax.plot(x, residual, "o", markersize=3.2, alpha=0.7, color=style.color_of(0), markeredgewidth=0)
-
-
-def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
-    import seaborn as sns
-
-    bins = int(np.clip(np.ceil(1 + np.log2(values.size)), 4, 40))  # Sturges 1926
-    look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
-    sns.histplot(x=values, bins=bins, alpha=1, ax=ax, **look)
-    ax.set(title="histogram", xlabel=label, ylabel="rows")
 
 
 def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
@@ -351,3 +381,10 @@ def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) 
         title="residual against leverage", xlabel="leverage", ylabel="standardized residual"
     )
     return figure
+
+
+PLOTS: dict[str, style.Plot] = {
+    "residuals": ("Residuals", diagnostic_residual_points, draw_residuals, residuals_caption),
+    "spread": ("Spread of the cells", spread_of_cells, draw_spread, spread_caption),
+    "contrasts": ("Contrasts without replicates", contrasts, draw_contrasts, contrasts_caption),
+}

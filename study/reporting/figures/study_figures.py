@@ -1,20 +1,47 @@
-"""Fitted constants with their intervals, one panel a constant."""
+"""The figures of a report: each drawn with its data, its caption and its failure.
+
+A figure that cannot be drawn never stops the report: the page says which one is missing. Those of
+constants, cost, failures and depth are drawn here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from study.reporting.content.report_facts import Facts
-from study.reporting.content.tables import fit_name, fit_rank
-from study.reporting.content.text import clean, duration, listing, name_of, quantity, term_name
+from study.reporting.content.blocks import Figure
+from study.reporting.content.report_facts import Facts, practical_of
+from study.reporting.content.sentences import cost_front, failures
+from study.reporting.content.tables import fit_name, fit_rank, in_order
+from study.reporting.content.text import (
+    THIN,
+    clean,
+    count,
+    duration,
+    listing,
+    name_of,
+    plural_of,
+    quantity,
+    sentence,
+    share,
+    slugs,
+    term_name,
+    trimmed,
+)
 from study.reporting.figures import axes as style
+from study.reporting.figures import (
+    convergence_figures,
+    curve_figures,
+    effect_figures,
+    residual_figures,
+)
+from study.reporting.figures.axes import Plot, bound, figures_of, make
 from study.reporting.results.study_result import ReportData
-from study.statistics.analysis.anova_table import DepthEffect
+from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 _MOST_ROWS = 40
 _MOST_PANELS = 4
@@ -42,7 +69,7 @@ def constant_points(data: ReportData) -> pd.DataFrame:
     return frame[frame["place"] < _MOST_ROWS].sort_values(["constant", "place"], kind="stable")
 
 
-def draw_constants(frame: pd.DataFrame) -> Canvas:
+def draw_constants(_data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw rows of fits; a hollow mark is a constant that the data do not determine."""
     # the constant of most fits first: it is the one that all models share
     names = frame["constant"].value_counts().index.tolist()[:_MOST_PANELS]
@@ -51,27 +78,44 @@ def draw_constants(frame: pd.DataFrame) -> Canvas:
     axes = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
     for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
         some = frame[frame["constant"] == name]
-        _panel(ax, some, style.color_of(index))
+        color = style.color_of(index)
+        for row, group in some.groupby("place"):
+            # fits of one row stand below each other, so that their intervals can be read
+            y = float(str(row)) + np.linspace(-0.3, 0.3, len(group) + 2)[1:-1]
+            ax.hlines(y, group["low"], group["high"], color=color, linewidth=0.8)
+            sure, values = group["identifiable"].to_numpy(bool), group["value"]
+            mark = {"marker": "o", "linestyle": "none", "color": color, "markersize": 2.8}
+            ax.plot(values[sure], y[sure], **mark)
+            hollow = {"markerfacecolor": "white", "markeredgewidth": 0.8}
+            ax.plot(values[~sure], y[~sure], **mark | hollow)
+        ax.grid(axis="y")
+        style.clean_left(ax)
+        ax.locator_params(axis="x", nbins=4)
         ax.set_xlabel(style.labeled(clean(name, 16), str(some["unit"].iloc[0])))
     style.name_rows(axes[0], rows["place"], [style.wrap(row, 46, 90) for row in rows["row"]])
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     return figure
 
 
-def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
-    for row, group in frame.groupby("place"):
-        # fits of one row stand below each other, so that their intervals can be read
-        y = float(str(row)) + np.linspace(-0.3, 0.3, len(group) + 2)[1:-1]
-        ax.hlines(y, group["low"], group["high"], color=color, linewidth=0.8)
-        sure = group["identifiable"].to_numpy(bool)
-        ax.plot(group["value"][sure], y[sure], "o", color=color, markersize=2.8)
-        ax.plot(
-            group["value"][~sure], y[~sure], "o", color=color, markersize=2.8,
-            markerfacecolor="white", markeredgewidth=0.8,
-        )  # fmt: skip
-    ax.grid(axis="y")
-    style.clean_left(ax)
-    ax.locator_params(axis="x", nbins=4)
+def constants_caption(data: ReportData, frame: pd.DataFrame) -> str:
+    """Compare the scatter between fits with the uncertainty of one fit."""
+    sure = frame[frame["identifiable"]]
+    vague = len(frame) - len(sure)
+    text = f"each mark is one fit with its 95{THIN}% interval"
+    grouped = sure.groupby(["constant", "place"])["value"]
+    apart = (grouped.std() / grouped.mean().abs()).median()
+    relative_error = (sure["standard_error"] / sure["value"].abs()).median()
+    if pd.notna(apart) and pd.notna(relative_error):
+        of_blocks, of_fit = (
+            share(part).replace("< ", "less than ") for part in (apart, relative_error)
+        )
+        text = (
+            f"a constant differs between {plural_of(clean(data.block) or 'run')} by {of_blocks} "
+            f"(median standard deviation), one fit alone is uncertain by {of_fit}; {text}"
+        )
+    if vague:
+        text += f"; hollow: {vague} of {len(frame)} that the data do not determine"
+    return sentence(text)
 
 
 # Figures of cost and of failure: the front of cells worth their seconds, the failure map.
@@ -82,14 +126,23 @@ _LEGEND_ROWS = 20
 _TIMES = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 60.0, 600.0, 3600.0, 36000.0)
 
 
-def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: float) -> Canvas:
+def draw_front(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw the mean response of each cell against its seconds, front stepped and labeled."""
     import seaborn as sns
 
     figure, ax = style.one_panel(3.7)
+    practical = practical_of(facts, frame)
     shown = frame.astype(dict.fromkeys(data.factors, str))
     shown = shown.rename(columns={name: name_of(name, data.labels) for name in data.factors})
-    first, second = _styling(frame, data)
+    # color and shape are of the two factors that change the cost most
+    cost = np.log(frame["seconds"].clip(lower=1e-9))
+    moved = {
+        name: float(cost.groupby(frame[name]).mean().var() or 0.0)
+        for name in data.factors
+        if len(data.factors[name]) > 1
+    }
+    order = sorted(moved, key=lambda name: -moved[name]) or list(data.factors)[:1]
+    first, second = order[0], order[min(1, len(order) - 1)]
     look = {"hue": name_of(first, data.labels), "hue_order": data.factors[first],
             "palette": [style.color_of(k) for k in range(len(data.factors[first]))],
             "style": name_of(second, data.labels), "style_order": data.factors[second],
@@ -111,7 +164,18 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
             transform=ax.get_yaxis_transform(), fontsize=7.5, color=style.MUTED,
         )  # fmt: skip
     ax.margins(x=0.06, y=0.16)
-    _front_labels(ax, front, list(data.factors))
+    low, high = np.log(ax.get_xlim())
+    bottom, top = ax.get_ylim()
+    taken: list[tuple[float, float]] = []  # where a cell is named another's name would run into it
+    for row in reversed(front.to_dict("records")):
+        x = float((np.log(row["seconds"]) - low) / (high - low))
+        y = float((row["mean"] - bottom) / (top - bottom))
+        if any(abs(x - a) < 0.36 and abs(y - b) < 0.07 for a, b in taken):
+            continue
+        taken.append((x, y))
+        text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in data.factors)
+        shift, side = ((-7, -6), "right") if x > 0.6 else ((7, -6), "left")
+        style.note(ax, text, (row["seconds"], row["mean"]), shift, va="top", ha=side)
     low, high = ax.get_xlim()
     if len(ticks := [t for t in _TIMES if low <= t <= high]) < 2:
         style.log_ticks(ax, "x", duration)
@@ -122,35 +186,27 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     return figure
 
 
-def _styling(frame: pd.DataFrame, data: ReportData) -> tuple[str, str]:
-    """Return the two factors that change the cost most, for color and shape."""
-    cost = np.log(frame["seconds"].clip(lower=1e-9))
-    moved = {
-        name: float(cost.groupby(frame[name]).mean().var() or 0.0)
-        for name in data.factors
-        if len(data.factors[name]) > 1
-    }
-    order = sorted(moved, key=lambda name: -moved[name]) or list(data.factors)[:1]
-    return order[0], order[min(1, len(order) - 1)]
+def front_caption(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> str:
+    """Say how cheap a cell within the practical difference is."""
+    near = frame[frame["within"]]
+    dear, cheap = float(frame["seconds"].max()), float(near["seconds"].min())
+    lie = "lies" if len(near) == 1 else "lie"
+    return sentence(
+        f"{count(len(near), 'cell')} of {len(frame)} {lie} within "
+        f"{trimmed(practical_of(facts, frame))}{THIN}{facts.difference_unit} of the best; the "
+        f"cheapest of them takes {duration(cheap)} a case, the dearest cell of all {duration(dear)}"
+    )
 
 
-def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None:
-    """Name the front's cells; one whose name would run into another's is left out."""
-    low, high = np.log(ax.get_xlim())
-    bottom, top = ax.get_ylim()
-    taken: list[tuple[float, float]] = []
-    for row in reversed(front.to_dict("records")):
-        x = float((np.log(row["seconds"]) - low) / (high - low))
-        y = float((row["mean"] - bottom) / (top - bottom))
-        if any(abs(x - a) < 0.36 and abs(y - b) < 0.07 for a, b in taken):
-            continue
-        taken.append((x, y))
-        text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in factors)
-        shift, side = ((-7, -6), "right") if x > 0.6 else ((7, -6), "left")
-        style.note(ax, text, (row["seconds"], row["mean"]), shift, va="top", ha=side)
+def failed_cases(data: ReportData) -> pd.DataFrame:
+    """Cell, block and status of every case, in the order of the design."""
+    factors, table = list(data.factors), in_order(data)
+    frame = table[[*factors, "status"]].astype(str)
+    block = table["block"].astype(str) if "block" in table else "all"
+    return frame.assign(block=block, cell=frame[factors].agg(" · ".join, axis=1))
 
 
-def draw_failures(frame: pd.DataFrame) -> Canvas:
+def draw_failures(_data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw cells against blocks, a large mark where a case failed."""
     import seaborn as sns
 
@@ -172,29 +228,43 @@ def draw_failures(frame: pd.DataFrame) -> Canvas:
     return figure
 
 
+def failures_caption(data: ReportData, _frame: pd.DataFrame) -> str:
+    """Count the failed cases, and say what rows and columns of the map are."""
+    failed = failures(data.failures, len(data.table)).split(". ")[0]
+    named = ", ".join(name_of(name, data.labels) for name in data.factors)
+    return f"{failed}: large marks; rows are cells ({named}), columns are blocks."
+
+
 # Effect of each factor against the depth that the test is scored to.
 
 #: sideways distance of the intervals of two factors, over the distance of two depths
 _BESIDE = 0.05
 
 
-def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.DataFrame:
+def depth_points(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Rows of one response with the names of their factors."""
     ends = ("term", "low", "high", "practical", "verdict", "highest")
     frame = pd.DataFrame([
-        {"response": response, "depth_mm": row.depth_mm, "difference": row.effect.range}
+        {"response": facts.name, "depth_mm": row.depth_mm, "difference": row.effect.range}
         | {name: getattr(row.effect, name) for name in ends}
-        for row in rows if row.response == response
+        for row in data.depths if row.response == facts.name
     ])  # fmt: skip
     names = [term_name(str(term), data.labels) for term in frame["term"]]
     numbers = {"difference": float, "low": float, "high": float, "practical": float}
     return frame.assign(name=names).astype(numbers)
 
 
-def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
+def draw_depths(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw the largest difference of every factor with its interval against depth."""
     figure, ax = style.one_panel(3.6)
-    _band(ax, frame, facts)
+    ax.axhline(1.0 if facts.ratio else 0.0, color=style.MUTED, linewidth=0.7)
+    limits = frame.dropna(subset=["practical"]).drop_duplicates("depth_mm")
+    if not limits.empty:  # a share of the mean grows with the depth
+        limits = limits.sort_values("depth_mm")
+        below = 1 / limits["practical"] if facts.ratio else -limits["practical"]
+        ax.fill_between(limits["depth_mm"], below, limits["practical"], color=style.BAND, zorder=0)
+        end, look = (limits["depth_mm"].iloc[-1], below.iloc[-1]), {"ha": "right", "alpha": 0.7}
+        style.note(ax, "no practical difference", end, (0, 3), color=style.INK, **look)
     depths = sorted(frame["depth_mm"].unique())
     apart = _BESIDE * (depths[-1] - depths[0]) / max(len(depths) - 1, 1)
     terms = list(dict.fromkeys(frame["name"]))
@@ -212,21 +282,7 @@ def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
     return figure
 
 
-def _band(ax: Axes, frame: pd.DataFrame, facts: Facts) -> None:
-    """Shade what does not matter; a share of the mean grows with the depth."""
-    zero = 1.0 if facts.ratio else 0.0
-    ax.axhline(zero, color=style.MUTED, linewidth=0.7)
-    limits = frame.dropna(subset=["practical"]).drop_duplicates("depth_mm")
-    if limits.empty:
-        return
-    limits = limits.sort_values("depth_mm")
-    below = 1 / limits["practical"] if facts.ratio else -limits["practical"]
-    ax.fill_between(limits["depth_mm"], below, limits["practical"], color=style.BAND, zorder=0)
-    end = limits["depth_mm"].iloc[-1], below.iloc[-1]
-    style.note(ax, "no practical difference", end, (0, 3), ha="right", color=style.INK, alpha=0.7)
-
-
-def caption(frame: pd.DataFrame, facts: Facts) -> str:
+def depths_caption(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> str:
     """Say what changes between the shallowest and the deepest look."""
     depths = sorted(frame["depth_mm"].unique())
     shallow, deep = (
@@ -250,3 +306,124 @@ def caption(frame: pd.DataFrame, facts: Facts) -> str:
         f"the whole study. {verdicts} The strongest factor at full depth, {strongest}, goes from "
         f"{sizes[0]} to {sizes[1]}{' ' + facts.difference_unit if not facts.ratio else ''}."
     )
+
+
+_OF_RESPONSE: dict[str, Plot] = {
+    "depth": ("Effects against depth", depth_points, draw_depths, depths_caption),
+    "front": ("Cost against accuracy", cost_front, draw_front, front_caption),
+}
+_CONSTANTS: Plot = ("Fitted constants", constant_points, draw_constants, constants_caption)
+_FAILURES: Plot = ("Failure map", failed_cases, draw_failures, failures_caption)
+
+
+# Which figures a report has.
+
+
+def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
+    """Figures of one response by kind, but those ``without``; none where it was not analyzed."""
+    if (result := facts.result) is None or not facts.terms:
+        return {}
+    facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
+    # nothing is left over by a saturated model
+    is_saturated = "residual" not in result.residuals
+    timed = "seconds" in data.table and bool(data.table["seconds"].notna().any())
+    has = {
+        # the sentences say that nothing could be estimated
+        "means": any(effect.range is not None for effect in facts.terms),
+        "interactions": len(data.factors) > 1,
+        "residuals": not is_saturated,
+        "spread": not is_saturated,
+        "contrasts": result.lenth is not None,
+        "depth": any(row.response == facts.name for row in data.depths),
+        "front": bool(facts.better) and timed,
+    }
+    plots = {**effect_figures.PLOTS, **residual_figures.PLOTS, **_OF_RESPONSE}
+    chosen = {
+        kind: bound(plot, facts, data)
+        for kind, plot in plots.items()
+        if has.get(kind, True) and kind not in without
+    }
+    stem = slugs(response.name for response in data.analyses)[facts.name]
+    return figures_of(chosen, stem, facts.title)
+
+
+def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:
+    """Figure of the first page: every effect against what matters; None without an effect."""
+    analyzed = [facts for facts in all_facts if facts.terms]
+    limited = [facts for facts in analyzed if facts.has_size]
+    # without a limit there is no common scale: the first response stands for itself
+    shown = limited or analyzed[:1]
+    if not any(effect.range is not None for facts in shown for effect in facts.terms):
+        return None
+    plot: Plot = (
+        "Every effect against what matters" if limited else "Every effect",
+        lambda: effect_figures.against_limits(shown, data.labels),
+        lambda frame: effect_figures.draw_against_limits(frame, shown),
+        lambda frame: _against_limits(frame, analyzed, shown),
+    )
+    return make("overview", plot)
+
+
+def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts]) -> str:
+    """Count the effects on either side of what matters, and say what the marks are."""
+    if frame["limited"].all():
+        verdicts = frame.loc[frame["verdict"] != "", "verdict"].tolist()
+        large, small = verdicts.count(MATTERS), verdicts.count(NO_DIFFERENCE)
+        rest = len(verdicts) - large - small
+        parts = [
+            f"{number} of {count(len(verdicts), 'effect')} {words}"
+            for number, words in (
+                (large, f"matter{'s' * (large == 1)} (orange circle)"),
+                (small, f"{'is' if small == 1 else 'are'} too small to matter (green square)"),
+                (rest, "cannot be judged with these data (hollow)"),
+            )
+            if number
+        ]
+    else:
+        parts = ["no smallest difference that matters was given, so no effect has a verdict"]
+    if (frame["bound"] > 0).any():
+        parts.append("thin ends: mesh error")
+    left = [facts.title for facts in analyzed if facts not in shown]
+    if left:
+        parts.append(f"not drawn, on the second page: {listing(left)}")
+    return sentence("; ".join(parts))
+
+
+def of_study(data: ReportData) -> dict[str, Figure]:
+    """Figures that belong to no single response."""
+    plots: dict[str, Plot] = {}
+    if data.curves:
+        every, curves = curve_figures.curve_panels(data), curve_figures.CURVES
+        plots["curves"] = bound(curves, every, data)
+        if len(every.panels) > curve_figures.MOST_COLUMNS:
+            few = curve_figures.curve_panels(data, curve_figures.MOST_COLUMNS)
+            plots["few-curves"] = bound((f"{curves[0]}, a part", *curves[1:]), few, data)
+    if any(fit.value is not None for fit in data.fits):
+        plots["constants"] = bound(_CONSTANTS, data)
+    marked = (document for case in data.markers for document in case.markers)
+    if any(fit["error_by_layer_mm"] for document in marked for fit in document["fits"]):
+        plots["markers"] = bound(curve_figures.MARKERS, data)
+    if data.convergence:
+        plots["convergence"] = bound(convergence_figures.VALUES, data.convergence)
+    if data.validation:
+        # the first block stands for the others
+        rows = [row for row in data.validation if row["block"] == data.validation[0]["block"]]
+        plots["validation"] = bound(convergence_figures.VALIDATION, rows)
+    if data.failures:
+        plots["failures"] = bound(_FAILURES, data)
+    return {name: make(name, plot) for name, plot in plots.items()}
+
+
+def of_recordings(frame: pd.DataFrame) -> Figure:
+    """Figure of the rows of a calibration as they were recorded, with their branches."""
+    aside = frame[frame["set_aside"] != ""]
+    why = [f"{n} {reason}" for reason, n in aside.groupby("set_aside", sort=False).size().items()]
+    caption = f"{len(frame)} recorded rows, {len(frame) - len(aside)} used"
+    caption += f"; set aside: {listing(why)}" if why else ""
+    plot: Plot = (
+        "Recording and its branches",
+        lambda: frame,
+        curve_figures.draw_recordings,
+        sentence(caption),
+    )
+    return make("recording", plot)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -11,8 +10,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure as Canvas
 
-from study.ground.arrays import gathered
+from study.ground.arrays import Array, gathered
 from study.ground.errors import RefusedError
+from study.reporting.content.blocks import Figure
 from study.reporting.content.surface_content import at_labels, settings, title
 from study.reporting.content.text import (
     clean,
@@ -25,18 +25,20 @@ from study.reporting.content.text import (
     slugs,
 )
 from study.reporting.figures import axes as style
-from study.reporting.figures.axes import make
+from study.reporting.figures.axes import Plot, bound, make
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_optimum import check_carries
-from study.statistics.surfaces.surface_profile import contour, left_out, profiles, strongest
+from study.statistics.surfaces.surface_result import (
+    FittedSurface,
+    SurfaceAnalysis,
+    contour,
+    left_out,
+    profiles,
+    strongest,
+)
 
 if TYPE_CHECKING:
-    from study.ground.arrays import Array
-    from study.reporting.content.blocks import Figure
-    from study.reporting.figures.axes import Plot
     from study.reporting.results.study_result import ReportData
-    from study.statistics.surfaces.surface_profile import FittedSurface
-    from study.statistics.surfaces.surface_result import SurfaceAnalysis
 
     Rows = list[tuple[FittedSurface, SurfaceAnalysis]]
 
@@ -51,33 +53,12 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
     surface = fitted.surface
     if surface is None:
         return {}
-    pair, errors = strongest(surface)[:2], left_out(surface) or ()
-    plots: dict[str, Plot] = {
-        "shares": (
-            "Shares of the variance",
-            lambda: _shares(surface),
-            lambda frame: _draw_shares(frame, data),
-            lambda frame: _shares_caption(frame, fitted, data),
-        ),
-        "contours": (
-            "Over the two strongest factors",
-            lambda: pd.DataFrame(contour(surface, pair)[0]),
-            lambda frame: _draw_contours(frame, contour(surface, pair)[1], fitted, data),
-            lambda frame: _contours_caption(frame, fitted, data),
-        ),
-        "left-out": (
-            "Runs predicted from the others",
-            lambda: pd.DataFrame(dict(zip(("simulated", "predicted"), errors, strict=True))),
-            lambda frame: _draw_left_out(frame, fitted, data),
-            lambda frame: _left_out_caption(frame, fitted, data),
-        ),
-    }
     has = {
         "shares": any(item.index is not None for item in surface.sensitivity),
         "contours": len(surface.runs.factors) > 1,
-        "left-out": bool(errors),
+        "left-out": bool(left_out(surface)),
     }
-    return {kind: plot for kind, plot in plots.items() if has.get(kind, True)}
+    return {kind: bound(_PLOTS[kind], surface, fitted, data) for kind in has if has[kind]}
 
 
 def profilers(data: ReportData) -> list[Figure]:
@@ -92,11 +73,11 @@ def profilers(data: ReportData) -> list[Figure]:
     for labels, rows in by_labels.items():
         plot: Plot = (
             f"Every response along every factor{labels and ': '}{labels}",
-            partial(_profiles, rows, data),
-            partial(_draw_profiles, rows, data),
-            partial(_profiles_caption, rows, data),
+            _profiles,
+            _draw_profiles,
+            _profiles_caption,
         )
-        figures.append(make(names[f"profiler {labels}"], plot))
+        figures.append(make(names[f"profiler {labels}"], bound(plot, rows, data)))
     return figures
 
 
@@ -150,7 +131,7 @@ def _finding(
     fit: FittedSurface, surface: SurfaceAnalysis, data: ReportData, row: pd.DataFrame
 ) -> str:
     """Say what every factor does to a response by itself."""
-    named, unit = clean(name_of(fit.response, data.labels)), clean(fit.unit)
+    named, unit = name_of(fit.response, data.labels), clean(fit.unit)
     model = surface.model
     if isinstance(model, QuadraticSurface):
         is_carried = model.carries or model.error != "none"
@@ -202,24 +183,27 @@ def _draw_profiles(rows: Rows, data: ReportData, frame: pd.DataFrame) -> Canvas:
     return figure
 
 
-def _contours_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
-    ends = [
-        quantity(float(v), clean(fitted.unit)) for v in (frame["value"].min(), frame["value"].max())
-    ]
+def _contours(surface: SurfaceAnalysis, _fitted: FittedSurface, _data: ReportData) -> pd.DataFrame:
+    return pd.DataFrame(contour(surface, strongest(surface)[:2])[0])
+
+
+def _contours_caption(
+    surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData, frame: pd.DataFrame
+) -> str:
+    low, high = (quantity(end, clean(fitted.unit)) for end in frame["value"].agg(["min", "max"]))
     over = " and ".join(name_of(str(name), data.labels) for name in frame.columns[:2])
-    several = fitted.surface is not None and len(fitted.surface.runs.factors) > 2
+    several = len(surface.runs.factors) > 2
     others = "; the others are in the middle of their ranges" if several else ""
     return sentence(
-        f"{title(fitted, data)} goes from {ends[0]} to {ends[1]} over {over}{others}. Points are "
-        "the runs."
+        f"{title(fitted, data)} goes from {low} to {high} over {over}{others}. Points are the runs."
     )
 
 
 def _draw_contours(
-    frame: pd.DataFrame, runs: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    fitted: FittedSurface, data: ReportData,
-) -> Canvas:  # fmt: skip
+    surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData, frame: pd.DataFrame
+) -> Canvas:
     across, up = frame.columns[:2]
+    runs = contour(surface, strongest(surface)[:2])[1]
     table = frame.pivot_table(index=up, columns=across, values="value")
     figure, ax = style.one_panel(4.2)
     x, y, z = table.columns.to_numpy(), table.index.to_numpy(), table.to_numpy()
@@ -233,7 +217,7 @@ def _draw_contours(
     return figure
 
 
-def _shares(surface: SurfaceAnalysis) -> pd.DataFrame:
+def _shares(surface: SurfaceAnalysis, _fitted: FittedSurface, _data: ReportData) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "factor": item.factor, "total": item.index.total, "low": item.index.total_interval[0],
@@ -244,7 +228,9 @@ def _shares(surface: SurfaceAnalysis) -> pd.DataFrame:
     )  # fmt: skip
 
 
-def _shares_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
+def _shares_caption(
+    _surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData, frame: pd.DataFrame
+) -> str:
     first, alone = frame.iloc[0], float(frame["alone"].sum())
     return sentence(
         f"{name_of(str(first['factor']), data.labels)} carries "
@@ -255,7 +241,9 @@ def _shares_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData
     )
 
 
-def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
+def _draw_shares(
+    _surface: SurfaceAnalysis, _fitted: FittedSurface, data: ReportData, frame: pd.DataFrame
+) -> Canvas:
     figure, ax = style.one_panel(0.8 + 0.36 * len(frame))
     places = np.arange(len(frame))
     percents = 100 * frame[["total", "low", "high", "alone"]]
@@ -273,9 +261,14 @@ def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
     return figure
 
 
-def _left_out_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
-    worst = float((frame["simulated"] - frame["predicted"]).abs().max())
-    q2 = 0.0 if fitted.surface is None else fitted.surface.model.q2
+def _left_out(surface: SurfaceAnalysis, _fitted: FittedSurface, _data: ReportData) -> pd.DataFrame:
+    return pd.DataFrame(dict(zip(("simulated", "predicted"), left_out(surface) or (), strict=True)))
+
+
+def _left_out_caption(
+    surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData, frame: pd.DataFrame
+) -> str:
+    worst, q2 = float((frame["simulated"] - frame["predicted"]).abs().max()), surface.model.q2
     return (
         f"Each run of {title(fitted, data)} against what a surface fitted to all the others "
         f"predicts; the worst is off by {quantity(worst, clean(fitted.unit))}, and Q2 is "
@@ -284,7 +277,9 @@ def _left_out_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportDa
     )
 
 
-def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:
+def _draw_left_out(
+    _surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData, frame: pd.DataFrame
+) -> Canvas:
     figure, ax = style.one_panel(3.9)
     ends = [float(frame.min().min()), float(frame.max().max())]
     ax.plot(ends, ends, color=style.MUTED, linewidth=0.8)
@@ -299,3 +294,10 @@ def _axis(name: str, fitted: FittedSurface, data: ReportData) -> str:
     """Name of a factor, or of the response, with its unit."""
     unit = {**fitted.units, fitted.response: fitted.unit}.get(name, "")
     return style.labeled(clean(name_of(name, data.labels), 40), clean(unit))
+
+
+_PLOTS: dict[str, Plot] = {
+    "shares": ("Shares of the variance", _shares, _draw_shares, _shares_caption),
+    "contours": ("Over the two strongest factors", _contours, _draw_contours, _contours_caption),
+    "left-out": ("Runs predicted from the others", _left_out, _draw_left_out, _left_out_caption),
+}

@@ -13,7 +13,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -40,20 +39,17 @@ from study.reporting.figures.axes import Plot, figures_of
 from study.reporting.output import study_page, write
 from study.reporting.output.page import Pages, replace_file
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.comparisons import Comparisons
 from study.statistics.analysis.post_hoc import (
     coefficient_table,
     diagnosed_rows,
     pairwise,
     unusual_observations,
 )
+from study.statistics.surfaces.surface_factors import Runs
 from study.statistics.surfaces.surface_fitting import SEE_SURFACE
-
-if TYPE_CHECKING:
-    from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.comparisons import Comparisons
-    from study.statistics.surfaces.surface_factors import Runs
-    from study.statistics.surfaces.surface_profile import FittedSurface
-
+from study.statistics.surfaces.surface_result import FittedSurface
 
 #: Cells beyond which their spreads, and rows beyond which their values, are not drawn one by one.
 MOST_CELLS = 60
@@ -75,7 +71,7 @@ def prepare(
 
     ``rows`` have fit, residuals, leverage and Cook's distance.
     """
-    from study.reporting.figures import registry
+    from study.reporting.figures import study_figures
 
     (item,) = facts(data)
     figures = _figures(analysis, data, item, rows)
@@ -98,7 +94,7 @@ def prepare(
             figures.get("spread"),
         ]
     warnings = [sentence(clean(text)) for text in dict.fromkeys((*data.warnings, *analysis.notes))]
-    shown, name = (registry.overview(data, (item,)), None), item.title
+    shown, name = (study_figures.overview(data, (item,)), None), item.title
     return study_page.two_pages(data, (item,), stem, name, shown, blocks, warnings, rows="rows.csv")
 
 
@@ -166,14 +162,14 @@ def _figures(
     analysis: AnalysisResult, data: ReportData, item: Facts, rows: pd.DataFrame | None
 ) -> Figures:
     """Figures of a study's response, with Minitab's residual plots for the study's."""
-    from study.reporting.figures import registry, residual_figures
+    from study.reporting.figures import residual_figures, study_figures
 
     without = {"residuals"}
     if len(data.table) > MOST_ROWS_DRAWN or len(analysis.cell_means) > MOST_CELLS:
         without |= {"cells"}
     if len(analysis.cell_means) > MOST_CELLS:
         without |= {"spread"}
-    drawn = registry.of_response(data, item, without)
+    drawn = study_figures.of_response(data, item, without)
     if rows is None or not item.terms:
         return drawn
     points = residual_figures.residual_points(rows)
@@ -183,7 +179,7 @@ def _figures(
         "four-in-one": (
             "Residual plots",
             lambda: points,
-            lambda frame: residual_figures.draw_residuals(frame, item, data, ordered=True),
+            lambda frame: residual_figures.draw_residuals(item, data, frame, ordered=True),
             lambda frame: sentence(
                 f"{count(len(frame), 'residual')}; {normality_phrase(item, data.alpha)}. The order "
                 "is that of the rows in the file: the run order only if they were written down as "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from study.reporting.content.text import (
     sentence,
     significant,
 )
-from study.reporting.figures.axes import Plot
+from study.reporting.figures.axes import Plot, bound
 from study.reporting.output.write import answer_blocks, write_answer
 
 #: Parts of a value below this are written as "less than".
@@ -71,77 +72,49 @@ def convergence_plots(
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
     plots: dict[str, Plot] = {}
     if shown:
-        plots["values"] = (
-            "Value against mesh size",
-            lambda: convergence.value_points(shown),
-            convergence.draw_values,
-            lambda _: convergence.value_caption(shown),
-        )
+        plots["values"] = bound(convergence.VALUES, shown)
     if any(cell["extrapolated"] is not None for cell in shown):
-        plots["errors"] = (
-            "Error and formal order",
-            lambda: convergence.error_points(shown),
-            convergence.draw_errors,
-            lambda _: convergence.error_caption(shown),
-        )
-    plots |= {f"front-{k}": _front(front) for k, front in enumerate(fronts, 1)}
+        plots["errors"] = bound(convergence.ERRORS, shown)
+    plots |= {f"front-{k}": bound(convergence.FRONT, front) for k, front in enumerate(fronts, 1)}
     if meshes:
+        sizes = [(label, len(points), len(elements)) for label, points, elements in meshes]
         plots["meshes"] = (
             "Meshes",
-            lambda: pd.DataFrame(
-                [(label, len(points), len(elements)) for label, points, elements in meshes],
-                columns=["mesh", "points", "cells"],
-            ),
+            lambda: pd.DataFrame(sizes, columns=["mesh", "points", "cells"]),
             lambda _: convergence.draw_meshes(meshes, np.asarray(window, float)),
             "The coarsest and the finest mesh, in the same window.",
         )
     return {f"convergence-{name}": plot for name, plot in plots.items()}
 
 
-def _front(front: Document) -> Plot:
-    import pandas as pd
-
-    from study.reporting.figures.convergence_figures import draw_front
-
-    return (
-        "Error against seconds",
-        lambda: pd.DataFrame(front["points"]),
-        lambda frame: draw_front(frame, float(front["accuracy"])),
-        lambda _: sentence(front["answer"]),
-    )
-
-
-def answers(cells: Sequence[Document], document: Document) -> list[str]:
+def answers(cells: Sequence[Document], document: Document) -> Iterator[str]:
     """Say in a few sentences what was found."""
-    lines = [sentence(front["answer"]) for front in document.get("fronts", ())]
-    for cell in cells[:1] if len(cells) == 1 else ():
+    yield from (sentence(front["answer"]) for front in document.get("fronts", ()))
+    for cell in cells if len(cells) == 1 else ():
         unit = f" in {clean(cell['unit'])}" if cell["unit"] else ""
-        verdict = f"{name_of(cell['qoi'])}{unit}: {clean(cell['verdict'])}"
-        lines.append(sentence(verdict))
+        yield sentence(f"{name_of(cell['qoi'])}{unit}: {clean(cell['verdict'])}")
         given = cell.get("given_mesh")
         if given and given["u_num"] is not None and given["value"]:
             share = 100 * given["u_num"] / abs(given["value"])
-            lines.append(f"On the mesh as given the value is known to {share:.2g} %.")
-    lines += formal_orders(cells)
+            yield f"On the mesh as given the value is known to {share:.2g} %."
+    yield from formal_orders(cells)
     if len(cells) > 1:
-        kinds = [str(cell["behaviour"]) for cell in cells]
-        counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
-        line = f"{len(cells)} series: " + ", ".join(f"{n} {kind}" for kind, n in counts.items())
+        kinds = Counter(str(cell["behaviour"]) for cell in cells)
+        line = f"{len(cells)} series: " + ", ".join(f"{n} {kind}" for kind, n in kinds.items())
         orders = [c["observed_order"] for c in cells if c["observed_order"] is not None]
-        if orders:
-            line += f"; observed orders {min(orders):.2f} to {max(orders):.2f}"
-        lines.append(f"{line}.")
-    return lines
+        between = f"; observed orders {min(orders):.2f} to {max(orders):.2f}" if orders else ""
+        yield f"{line}{between}."
 
 
 def formal_orders(cells: Sequence[Document]) -> list[str]:
     """Say which order is to be expected, and why, once for every reason."""
-    orders = [
-        (float(cell["formal_order"]), str(cell["formal_reason"]))
-        for cell in cells
-        if cell.get("formal_reason") and cell.get("formal_order")
-    ]
-    return [f"Formal order {order:.3g}: {clean(why)}." for order, why in dict.fromkeys(orders)]
+    return list(
+        dict.fromkeys(
+            f"Formal order {float(cell['formal_order']):.3g}: {clean(cell['formal_reason'])}."
+            for cell in cells
+            if cell.get("formal_reason") and cell.get("formal_order")
+        )
+    )
 
 
 def series_table(cells: Sequence[Document]) -> Table:
@@ -207,7 +180,18 @@ def series_blocks(document: Document) -> Iterator[Block]:
     for cell in document.get("cells", [document]):
         yield from _series(cell)
     for front in document.get("fronts", ()):
-        yield _front_table(front)
+        yield Table.of(
+            f"error and seconds against the limit {front['reference']:.6g}",
+            front["points"],
+            {
+                "cell": lambda p: p["cell"],
+                "mesh size": lambda p: f"{p['mesh_size']:.3g}",
+                "unknowns": lambda p: str(p["unknowns"]),
+                "seconds": lambda p: f"{p['seconds']:.3g}",
+                "MB": lambda p: f"{p['memory_MB']:.0f}",
+                "error": lambda p: f"{100 * p['error']:.2g} %",
+            },
+        )
         yield Verbatim(front["answer"])
     if left_out := document.get("left_out"):
         cells_left = (" / ".join(map(str, cell["levels"].values())) for cell in left_out)
@@ -220,17 +204,33 @@ def series_blocks(document: Document) -> Iterator[Block]:
 
 
 def _series(cell: Document) -> Iterator[Block]:
-    labels = " / ".join(str(v) for v in (cell.get("levels") or {}).values())
-    parts = (labels, cell["qoi"].removeprefix("value"), cell.get("note", ""))
-    title = ": ".join(part for part in parts[:2] if part) + (f" ({parts[2]})" if parts[2] else "")
-    yield Verbatim(title.strip())  # the title of a narrow table would be folded
+    labels = " / ".join(map(str, (cell.get("levels") or {}).values()))
+    title = ": ".join(filter(None, (labels, cell["qoi"].removeprefix("value"))))
+    note = f" ({cell['note']})" if cell.get("note") else ""
+    yield Verbatim(f"{title}{note}".strip())  # the title of a narrow table would be folded
     yield _meshes(cell)
     yield Verbatim(cell["verdict"])
-    if cell.get("formal_order") is None and cell.get("formal_reason"):
-        yield Verbatim(f"no formal order: {cell['formal_reason']}")
-    elif cell.get("formal_reason"):
-        yield Verbatim(f"formal order {cell['formal_order']:.3g}: {cell['formal_reason']}")
-    yield from _limit(cell)
+    if cell.get("formal_reason"):
+        order = cell.get("formal_order")
+        head = "no formal order" if order is None else f"formal order {order:.3g}"
+        yield Verbatim(f"{head}: {cell['formal_reason']}")
+    if cell["gci_fine"] is not None:
+        yield Verbatim(
+            f"order {general(cell['observed_order'])}, extrapolated "
+            f"{general(cell['extrapolated'], 8)}, GCI {100 * cell['gci_fine']:.4g} %"
+        )
+    if cell["u_num"] is not None:
+        bound_text = f"{cell['value'][0]:.8g} +- {cell['u_num']:.3g} {cell['unit'] or ''}"
+        yield Verbatim(f"finest value {bound_text}".rstrip())
+    given = cell.get("given_mesh")
+    if given and given["u_num"] is not None:
+        share = f" ({100 * given['u_num'] / abs(given['value']):.2g} %)" if given["value"] else ""
+        yield Verbatim(f"on the mesh as given: {given['value']:.6g} +- {given['u_num']:.2g}{share}")
+    if cell.get("mesh_size_needed"):
+        needed = f"a mesh size of {cell['mesh_size_needed']:.3g}"
+        yield Verbatim(f"{100 * cell['accuracy']:g} % needs {needed}")
+    if cell.get("stopped"):
+        yield Verbatim(f"stopped: {cell['stopped']}")
     if len(cell.get("quantities") or {}) > 1:
         yield replace(series_table([cell]), name="quantities")
     yield from (replace(table, name="error by source") for table in sources_tables([cell]))
@@ -254,40 +254,5 @@ def _meshes(cell: Document) -> Table:
             "seconds": lambda of: f"{of[2]['seconds']:.3g}",
             "predicted": lambda of: general(of[2]["predicted_seconds"], 3),
             "MB": lambda of: f"{of[2]['memory_MB']:.0f}",
-        },
-    )
-
-
-def _limit(cell: Document) -> Iterator[Verbatim]:
-    if cell["gci_fine"] is not None:
-        yield Verbatim(
-            f"order {general(cell['observed_order'])}, extrapolated "
-            f"{general(cell['extrapolated'], 8)}, GCI {100 * cell['gci_fine']:.4g} %"
-        )
-    if cell["u_num"] is not None:
-        unit = f" {cell['unit']}" if cell["unit"] else ""
-        yield Verbatim(f"finest value {cell['value'][0]:.8g} +- {cell['u_num']:.3g}{unit}")
-    given = cell.get("given_mesh")
-    if given and given["u_num"] is not None:
-        share = f" ({100 * given['u_num'] / abs(given['value']):.2g} %)" if given["value"] else ""
-        yield Verbatim(f"on the mesh as given: {given['value']:.6g} +- {given['u_num']:.2g}{share}")
-    if cell.get("mesh_size_needed"):
-        accuracy = f"{100 * cell['accuracy']:g} %"
-        yield Verbatim(f"{accuracy} needs a mesh size of {cell['mesh_size_needed']:.3g}")
-    if cell.get("stopped"):
-        yield Verbatim(f"stopped: {cell['stopped']}")
-
-
-def _front_table(front: Document) -> Table:
-    return Table.of(
-        f"error and seconds against the limit {front['reference']:.6g}",
-        front["points"],
-        {
-            "cell": lambda p: p["cell"],
-            "mesh size": lambda p: f"{p['mesh_size']:.3g}",
-            "unknowns": lambda p: str(p["unknowns"]),
-            "seconds": lambda p: f"{p['seconds']:.3g}",
-            "MB": lambda p: f"{p['memory_MB']:.0f}",
-            "error": lambda p: f"{100 * p['error']:.2g} %",
         },
     )

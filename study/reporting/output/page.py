@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
@@ -11,7 +13,10 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from markupsafe import Markup, escape
+
 from study.ground.atomic_files import own_folder, write_atomic, write_error
+from study.ground.canonical import Dataclass
 from study.reporting.content import methods
 from study.reporting.content.blocks import Block, Figure, Heading, Sentence, Table, flat
 from study.reporting.content.effect_words import VERDICTS
@@ -20,9 +25,7 @@ from study.reporting.output.terminal import say
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from markupsafe import Markup
 
-    from study.ground.canonical import Dataclass
 
 #: end of the name of the second page
 DETAILS = "-details"
@@ -139,9 +142,6 @@ def table_script() -> Markup:
 
 def policy_hash(script: str) -> str:
     """Source expression (``sha256-`` and digest) that lets a page run this script alone."""
-    import base64
-    import hashlib
-
     digest = hashlib.sha256(script.encode()).digest()
     return f"sha256-{base64.b64encode(digest).decode()}"
 
@@ -149,7 +149,6 @@ def policy_hash(script: str) -> str:
 @cache  # a template is compiled once a process
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
 
     environment = Environment(
         loader=PackageLoader("study.reporting", "templates"),
@@ -177,8 +176,6 @@ def _environment() -> Environment:
 
 def _said(block: Sentence) -> Markup:
     """Sentence with its lead in bold, its links, and the terms of the glossary explained."""
-    from markupsafe import Markup, escape
-
     # a note or a paragraph to be pasted explains no words
     text = _subscripts(block.words) if block.kind else _subscripts(methods.glossed(block.words))
     for words, address in block.links:
@@ -189,8 +186,6 @@ def _said(block: Sentence) -> Markup:
 
 def _subscripts(text: str) -> Markup:
     """Text with ``u_num`` and its kin as a letter and its subscript, all else escaped."""
-    from markupsafe import Markup, escape
-
     if "u_" not in text:
         return escape(text)
     parts = re.sub(r"\bu_(num|val|input|D)\b", r"u<sub>\1</sub>", str(escape(text)))
@@ -200,8 +195,6 @@ def _subscripts(text: str) -> Markup:
 
 def _cell(text: str, column: str) -> Markup:
     """Cell of a table; a verdict and the outcome of a check have their color and their sign."""
-    from markupsafe import Markup
-
     if column == "outcome":
         return Markup('<span class="outcome {}">{}</span>').format(slug(text), text)
     if column != "verdict" or text not in VERDICTS:
@@ -276,8 +269,6 @@ def render_overview(states: Sequence[StudyState]) -> tuple[str, str]:
 def _packaged(name: str) -> Markup:
     """Text of a file of this package, which holds no word of a user."""
     from importlib.resources import files
-
-    from markupsafe import Markup
 
     text = (files("study.reporting") / "templates" / name).read_text(encoding="utf-8")
     return Markup(text)  # noqa: S704

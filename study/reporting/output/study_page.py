@@ -58,19 +58,19 @@ _VERSION = "version of "
 
 def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     """Compute every sentence, table and figure of a report."""
-    from study.reporting.figures import registry, surface_figures
+    from study.reporting.figures import study_figures, surface_figures
 
-    of_study = partial(registry.of_study, data)
+    of_study = partial(study_figures.of_study, data)
     figures = of_study if worker is None else worker.begin(of_study)
     all_facts = facts(data)
-    of_each = {item.name: registry.of_response(data, item) for item in all_facts}
+    of_each = {item.name: study_figures.of_response(data, item) for item in all_facts}
     shapes = {surface_content.title(fit, data): fit for fit in data.surfaces}
     names = {title: f"surface-{name}" for title, name in slugs(shapes).items()}
     over = {
         title: figures_of(surface_figures.drawings(fit, data), names[title], title)
         for title, fit in shapes.items()
     }
-    effects = registry.overview(data, all_facts)
+    effects = study_figures.overview(data, all_facts)
     shares = next((of["shares"] for of in over.values() if "shares" in of), None)
     if shares is not None and effects is None:
         effects = replace(shares, name="overview")
@@ -202,18 +202,18 @@ def report_card(checks: Iterable[Check], data: ReportData) -> Card:
     """
     lines = []
     for group in analysis_content.by_name(checks):
-        if group[0].outcome == "not applicable" and not group[0].consequence:
+        first = group[0]
+        if first.outcome == "not applicable" and not first.consequence:
             continue
-        worst = [check for check in group if check.outcome == group[0].outcome]
-        meaning = worst[0].consequence or worst[0].finding
+        worst = [check for check in group if check.outcome == first.outcome]
+        meaning = first.consequence or first.finding
         named = listing([check.of for check in worst if check.of])
         if named and len(worst) < len(group):
             meaning = f"{named}: {meaning}"
-        name = sentence(group[0].name).rstrip(".")
-        lines.append((group[0].outcome, name, sentence(meaning)))
-    if data.warnings or data.data_notes:
-        notes = count(len(data.warnings) + len(data.data_notes), "note")
-        lines.append(("note", "Notes", f"{notes} on the data and the run, on the second page."))
+        lines.append((first.outcome, sentence(first.name).rstrip("."), sentence(meaning)))
+    if number := len(data.warnings) + len(data.data_notes):
+        notes = f"{count(number, 'note')} on the data and the run, on the second page."
+        lines.append(("note", "Notes", notes))
     return Card(lines)
 
 
@@ -222,9 +222,9 @@ def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     if data.surfaces and not any(facts.terms for facts in all_facts):
         first = data.surfaces[: sentences.MOST_RESPONSES]
         lines = [
-            sentence(f"{surface_content.title(finding, data)}. {' '.join(ends)}")
+            sentence(f"{surface_content.title(finding, data)}. {ends}")
             for finding in first
-            if (ends := surface_content.extremes(finding, data))
+            if (ends := " ".join(surface_content.extremes(finding, data)))
         ]
         if more := len(data.surfaces) - len(first):
             lines.append(f"The second page has those of {count(more, 'more surface')}.")
@@ -399,7 +399,7 @@ def _response(data: ReportData, item: Facts, figures: Figures) -> Blocks:
     yield from titled(tables.anova(item, data), title)
     yield Folded(tables.SIZES, (tables.sizes(item, data),))
     yield from drawn(figures, "means", "interactions", "cells")
-    if not data.is_table and tables.lists_records(data):
+    if tables.lists_records(data):
         yield Sentence(
             "The cells behind these means stand in the matrix, which leads to the record of every "
             "case.",

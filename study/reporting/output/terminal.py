@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
+import textwrap
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
-from study.reporting.content.blocks import Folded, Heading, Points, Sentence, Table, Verbatim
-
-if TYPE_CHECKING:
-    from study.reporting.content.blocks import Block
+from study.reporting.content.blocks import Block, Folded, Heading, Points, Sentence, Table, Verbatim
 
 
 def say(blocks: Iterable[Block | None], file: TextIO | None = None) -> None:
@@ -38,9 +37,6 @@ def _plain(words: str) -> str:
 
 def _folded_to_width(words: str) -> str:
     """Text in lines of the width of the terminal, at most 100 columns."""
-    import shutil
-    import textwrap
-
     return textwrap.fill(_plain(words), min(shutil.get_terminal_size((100, 24)).columns, 100))
 
 

@@ -64,7 +64,7 @@ from study.reporting.output.page import (
     replace_file,
 )
 from study.reporting.output.study_page import prepare
-from study.reporting.results.study_result import CurvePair, ReportData
+from study.reporting.results.study_result import ReportData
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -148,13 +148,39 @@ def write(
         pages = prepare(report_data, None if is_undrawn else worker)
         stem = slug(report_data.name)
         files = write_pages(folder, stem, pages, chosen)
-        _numbers(report_data, files)
+        numbers = {
+            response.name: None if response.result is None else response.result.to_json()
+            for response in report_data.analyses
+        }
+        write_numbers(files, {"study": report_data.name, "responses": numbers})
         replace_file(files / "cases.csv", of_frame(report_data.table))
         if report_data.curves:
-            packed = gzip.compress(_points(report_data.curves).encode(), 6, mtime=0)
+            # every measured point and the force predicted there, empty beyond its end
+            parts = ["case_id,curve,role,displacement_mm,measured_N,predicted_N\n"]
+            for pair in report_data.curves:
+                head = of_rows((pair.case_id, pair.label, pair.role), ()).removesuffix("\n")
+                d, measured = pair.measured.displacement_mm, pair.measured.force_N
+                reached = d[d <= pair.predicted.displacement_mm[-1]]
+                force = [repr(f) for f in pair.predicted.force_at(reached).tolist()]
+                force += [""] * (d.size - reached.size)
+                points = zip(d.tolist(), measured.tolist(), force, strict=True)
+                parts += [f"{head},{x!r},{m!r},{f}\n" for x, m, f in points]
+            packed = gzip.compress("".join(parts).encode(), 6, mtime=0)
             replace_bytes(files / "curves.csv.gz", packed)
         if "tex" in chosen:
-            replace_file(folder / f"{stem}.tex", _latex(report_data, pages))
+            all_facts = facts(report_data)
+            captions = {"verdicts": "Verdicts"}
+            captions |= {
+                f"{f.name}-anova": f"Analysis of variance of the {f.title}" for f in all_facts
+            }
+            captions |= {"cells": "Cells"}
+            captioned = [
+                (words, pages.tables[n]) for n, words in captions.items() if n in pages.tables
+            ]
+            replace_file(
+                folder / f"{stem}.tex",
+                document(captioned, paragraph(report_data, all_facts), slug(report_data.name)),
+            )
     return main_file(folder, stem, chosen)
 
 
@@ -259,41 +285,10 @@ def write_figures(files: Path, figures: Iterable[Figure], *, drawn: bool = True)
             replace_file(files / f"figure-{figure.name}.svg", figure.svg + "\n")
 
 
-def _numbers(data: ReportData, files: Path) -> None:
-    numbers = {
-        response.name: None if response.result is None else response.result.to_json()
-        for response in data.analyses
-    }
-    write_numbers(files, {"study": data.name, "responses": numbers})
-
-
 def write_numbers(files: Path, document: Document) -> None:
     """Write what ``--json`` prints beside a page."""
     text = json.dumps(document, indent=1, allow_nan=False)
     replace_file(files / "numbers.json", text + "\n")
-
-
-def _points(curves: Sequence[CurvePair]) -> str:
-    """CSV text of every measured point and the force predicted there (empty beyond its end)."""
-    parts = ["case_id,curve,role,displacement_mm,measured_N,predicted_N\n"]
-    for pair in curves:
-        head = of_rows((pair.case_id, pair.label, pair.role), ()).removesuffix("\n")
-        d, measured = pair.measured.displacement_mm, pair.measured.force_N
-        reached = d[d <= pair.predicted.displacement_mm[-1]]
-        force = [repr(f) for f in pair.predicted.force_at(reached).tolist()]
-        force += [""] * (d.size - reached.size)
-        points = zip(d.tolist(), measured.tolist(), force, strict=True)
-        parts += [f"{head},{x!r},{m!r},{f}\n" for x, m, f in points]
-    return "".join(parts)
-
-
-def _latex(data: ReportData, pages: Pages) -> str:
-    all_facts = facts(data)
-    captions = {"verdicts": "Verdicts"}
-    captions |= {f"{f.name}-anova": f"Analysis of variance of the {f.title}" for f in all_facts}
-    captions |= {"cells": "Cells"}
-    captioned = [(words, pages.tables[n]) for n, words in captions.items() if n in pages.tables]
-    return document(captioned, paragraph(data, all_facts), slug(data.name))
 
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")

@@ -8,8 +8,7 @@ from typing import Literal
 
 from study.ground.canonical import Keyed
 from study.statistics.analysis.anova_table import Effect
-from study.statistics.surfaces.surface_inversion import FactorCombination
-from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
+from study.statistics.surfaces.surface_optimum import FactorCombination, Goal, ResponseSpread
 
 MATTERS = "holds in both: matters"
 NO_DIFFERENCE = "holds in both: no practical difference"
@@ -22,10 +21,7 @@ NONE_CAN_TELL = "cannot tell in both"
 class Conclusion(Keyed):
     """One term of one response under both studies."""
 
-    KEYS = (
-        "response factor=term unit scale conclusion holds end=named_end same_best "
-        "found=of_each_study"
-    )
+    KEYS = "response factor=term unit scale conclusion holds end same_best found=of_each_study"
 
     response: str
     term: str
@@ -36,9 +32,9 @@ class Conclusion(Keyed):
     holds: bool | None
     effects: tuple[Effect, Effect]
     ratio: bool = False
-    #: {"lowest", "highest", ""}: end of the response that ``best`` names: the better one, or the
-    #: highest where no end is better; empty for interactions.
-    end: str = ""
+    #: {"lowest", "highest"}: end of the response that ``best`` names: the better one, or the
+    #: highest where no end is better; None for interactions.
+    end: str | None = None
     #: Whether some level leads in both, or lies within what matters of the leading one.
     same_best: bool | None = None
     best: tuple[str, str] = ("", "")
@@ -52,11 +48,6 @@ class Conclusion(Keyed):
     def scale(self) -> str:
         """Either ``ratio`` or ``difference``."""
         return "ratio" if self.ratio else "difference"
-
-    @property
-    def named_end(self) -> str | None:
-        """End of the response that ``best`` names; None for interactions."""
-        return self.end or None
 
     @property
     def of_each_study(self) -> list[dict[str, object]]:
@@ -184,9 +175,9 @@ class Recommendation(Keyed):
     bounds: tuple[Bound, ...] = ()
     #: Prediction, and ends of its interval, of each of them.
     limited: tuple[tuple[float, float, float], ...] = ()
-    #: {"", "surely", "predicted"}: whether the limits hold with the unfavourable ends of the
-    #: intervals, or for the prediction alone.
-    assurance: str = ""
+    #: {"surely", "predicted"}: whether the limits hold with the unfavourable ends of the intervals,
+    #: or for the prediction alone; None without limits.
+    limits_hold: str | None = None
     #: Choices that stand at an end of what was run: a better setting may lie beyond.
     at_end: tuple[str, ...] = ()
     #: What the factors that nobody chooses do there, over what was run of them.
@@ -204,11 +195,6 @@ class Recommendation(Keyed):
             | dict(zip(("value", "low", "high"), predicted, strict=True))
             for bound, predicted in zip(self.bounds, self.limited, strict=True)
         ]
-
-    @property
-    def limits_hold(self) -> str | None:
-        """How surely the limits hold; None without limits."""
-        return self.assurance or None
 
 
 @dataclass(frozen=True)

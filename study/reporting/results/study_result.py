@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from study.ground.contrast import Expected
 from study.ground.curve import Curve
 from study.record.document import MADE_ELSEWHERE
 from study.record.record import Record
+from study.statistics.analysis.anova_table import DepthEffect
 from study.statistics.analysis.failures import FailurePattern
-from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.convergence.grid_convergence import NumericalUncertainty
+from study.statistics.surfaces.surface_result import FittedSurface
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.ground.contrast import Expected
     from study.reporting.results.study_answers import Beside
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.anova_table import DepthEffect
-    from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 
 # What a report is made of: plain values that whoever holds the records fills in.

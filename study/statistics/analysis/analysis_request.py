@@ -12,6 +12,7 @@ from study.ground.contrast import Threshold
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.units import converted, is_known, naming, unit_of_column
 from study.statistics.analysis.linear_model import Model
+from study.statistics.analysis.simple_effects import Confidence
 from study.statistics.convergence.contrast_bound import NumericalBound, OneBound, TermBounds
 
 _TEXT = re.compile(
@@ -167,27 +168,15 @@ class ResponseScale:
     def bound(self, terms: Iterable[str], unit: float) -> NumericalBound | None:
         """Numerical uncertainty of every difference, on the working scale."""
         if not isinstance(self.u_num, Mapping):
-            return bound_of(self.u_num, unit)
+            return (
+                OneBound(self.u_num * unit) if isinstance(self.u_num, int | float) else self.u_num
+            )
         names = list(terms)
-        strange = [name for name in self.u_num if name not in names]
-        if strange:
+        if strange := [name for name in self.u_num if name not in names]:
             raise InputError(
                 [Fault("u_num", f"{n!r} is no term", nearest(n, names)) for n in strange]
             )
-        return bound_of({n: float(u) for n, u in self.u_num.items() if u is not None}, unit)
-
-
-def bound_of(
-    u: float | Mapping[str, float] | NumericalBound | None, unit: float = 1.0
-) -> NumericalBound | None:
-    """Bound of whatever was given, with numbers carried to the scale of the analysis."""
-    if u is None:
-        return None
-    if isinstance(u, Mapping):
-        return TermBounds({name: value * unit for name, value in u.items()})
-    if isinstance(u, int | float):
-        return OneBound(float(u) * unit)
-    return u
+        return TermBounds({n: u * unit for n, u in self.u_num.items() if u is not None})
 
 
 #: smallest error probability: quantiles of studentized ranges are integrals, which do not end
@@ -225,8 +214,7 @@ class AnalysisRequest:
     seed: int = 2011
     #: Whether to simulate the exact p of Ryan-Joiner, Bartlett and Levene.
     exact: bool = True
-    #: Whether simultaneous intervals of simple effects are simulated; else they are Bonferroni's,
-    #: which are made at once and never narrower.
+    #: Whether simultaneous intervals of simple effects are simulated.
     simulated: bool = True
 
     @property
@@ -235,9 +223,9 @@ class AnalysisRequest:
         return self.sums == "auto" or (self.records and self.sums == "II")
 
     @property
-    def interval_seed(self) -> int | None:
-        """Seed of simultaneous intervals; None where they are not simulated."""
-        return self.seed if self.simulated else None
+    def confidence(self) -> Confidence:
+        """Level of intervals, with the seed of simultaneous ones where they are simulated."""
+        return Confidence(self.alpha, self.seed if self.simulated else None)
 
     @property
     def is_ordered(self) -> bool:

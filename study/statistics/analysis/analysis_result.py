@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -12,8 +13,7 @@ from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
 from study.statistics.analysis.data import Structure
-from study.statistics.analysis.effects import Gate, Scale
-from study.statistics.analysis.linear_model import terms_of
+from study.statistics.analysis.effects import Gate, Scale, TermEstimate, size
 from study.statistics.analysis.sums_of_squares import influence, summary_of
 from study.statistics.analysis.unreplicated import Copies, functional_shares
 from study.statistics.convergence.contrast_bound import OneBound
@@ -25,18 +25,19 @@ if TYPE_CHECKING:
     from study.statistics.analysis.anova_table import (
         AnalysisSensitivity,
         BoxCoxResult,
+        Contrast,
         Effect,
         FailureBound,
         Influential,
         ModelSummary,
         NestedUnits,
+        PowerRow,
     )
     from study.statistics.analysis.data import Crossed, Data
     from study.statistics.analysis.equal_variance import SpreadTest
-    from study.statistics.analysis.linear_contrast import Contrast
     from study.statistics.analysis.linear_model import Term
     from study.statistics.analysis.normality import NormalityResult, RowTest, RyanJoinerResult
-    from study.statistics.analysis.power import PowerRow
+    from study.statistics.analysis.simple_effects import SimpleEffects
     from study.statistics.analysis.sums_of_squares import Factored, SphericityResult, TwoWayFit
     from study.statistics.analysis.unreplicated import LenthResult, NonAdditivityResult
 
@@ -74,9 +75,8 @@ class Assumptions(Keyed):
     @property
     def variance(self) -> dict[str, object]:
         """Documents of the tests of equal spread; null where they do not apply."""
-        tests = {"bartlett": self.bartlett, "levene": self.levene}
-        documents = {name: test and test.to_json() for name, test in tests.items()}
-        return {**documents, "fligner": self.fligner}
+        documents = {name: test.to_json() for name, test in self.spread.items()}
+        return {"bartlett": None, "levene": None, **documents, "fligner": self.fligner}
 
 
 #: what a constant response is compared with
@@ -151,6 +151,20 @@ class AnalysisResult(Keyed):
         """Copy with more notes."""
         return replace(self, notes=(*self.notes, *notes))
 
+    def concluded(
+        self,
+        error: ErrorTerm,
+        table: Anova,
+        estimates: Sequence[TermEstimate],
+        gate: Gate,
+        judged: Mapping[str, SimpleEffects] | None = None,
+    ) -> AnalysisResult:
+        """Copy with a table, the sizes of its terms, and their verdicts behind the gate."""
+        judged = gate.judged(self.terms) if judged is None else judged
+        effects = tuple(size(estimate, self.scale, judged) for estimate in estimates)
+        out = replace(self, error_term=error, anova=table, effects=effects, gate=gate)
+        return out.warn(*gate.notes)
+
     def constant(self) -> AnalysisResult:
         """Say that the response does not vary: there is no analysis of variance."""
         y = self.data.y
@@ -194,7 +208,7 @@ class AnalysisResult(Keyed):
             return {}
         shift = self.y[0]
         means = np.bincount(data.cell, weights=self.y - shift, minlength=size) / counts + shift
-        return functional_shares(data.layout, data.factors, means, terms_of(data.factors))
+        return functional_shares(data.layout, data.factors, means)
 
     @property
     def distinct(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, pairwise, product
 from typing import TYPE_CHECKING
 
@@ -37,7 +38,6 @@ from study.statistics.analysis.data import (
 )
 from study.statistics.analysis.effects import MOST_LEVELS, Scale
 from study.statistics.analysis.error_ledger import pooled
-from study.statistics.analysis.linear_contrast import with_holm
 from study.statistics.analysis.linear_model import (
     Model,
     Term,
@@ -49,7 +49,8 @@ from study.statistics.analysis.linear_model import (
     terms_of,
 )
 from study.statistics.analysis.mixed_model import FEWEST_LEVELS
-from study.statistics.analysis.power import PowerRow, planned
+from study.statistics.analysis.post_hoc import with_holm
+from study.statistics.analysis.power import planned
 from study.statistics.analysis.simple_effects import without_each
 from study.statistics.analysis.strata import Plots, incomplete_blocks, own, split_plot, whole_plots
 from study.statistics.analysis.unreplicated import copies_of, refuse_fake_replicates, ulp_floor
@@ -73,7 +74,7 @@ def assemble(out: AnalysisResult) -> AnalysisResult:
             "others agree in every block); checks of the residuals use one of each"
         )
     notes = tuple(dict.fromkeys(out.notes))
-    return replace(out, effects=with_holm(out.effects), power=_power(out), notes=notes)
+    return replace(out, effects=with_holm(out.effects), power=planned(out), notes=notes)
 
 
 def _inestimable(effects: Sequence[Effect]) -> list[str]:
@@ -99,23 +100,6 @@ def _partial(effects: Sequence[Effect]) -> list[str]:
     ]
     what = "main effects are those of the settings with all levels of the factor"
     return [f"{what}: {'; '.join(places)}"] if places else []
-
-
-def _power(out: AnalysisResult) -> dict[str, tuple[PowerRow, ...]]:
-    """Tell what other numbers of blocks or replicates would find, by factor."""
-    counts = np.bincount(out.data.cell)
-    cells = counts[counts > 0]
-    if out.replicates == "noise":
-        return {}  # more resamples show no smaller effect: the noise of the curve is what it is
-    blocks = None if out.crossed is None else len(out.crossed.blocks)
-    replicated = out.error_term.source in ("E0", "E3") and bool(cells.min() >= 2)
-    if blocks is None and not replicated:
-        return {}
-    n = round(float(cells.mean())) if blocks is None else blocks
-    names = [f for f in out.data.factors if (f,) in out.terms]
-    terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
-    alpha, ratio = out.request.alpha, out.request.scale.is_log
-    return planned(terms, n, cells.size, blocked=blocks is not None, alpha=alpha, ratio=ratio)
 
 
 _DEFAULT_TOLERANCE = 1e-8
@@ -158,7 +142,11 @@ def effects(table: pd.DataFrame, request: AnalysisRequest) -> tuple[Effect, ...]
     request, _ = _of_units(table, request)
     if request.layout.unit is not None:
         table = repeats.average_units(table, request, request.layout.unit, request.layout.block)
-    return _found(table, request).effects
+    return _effects_alone(table, request)
+
+
+def _effects_alone(rows: pd.DataFrame, request: AnalysisRequest) -> tuple[Effect, ...]:
+    return _found(rows, request).effects
 
 
 def _of_one_block(
@@ -320,14 +308,10 @@ def _one_cell_a_block(table: pd.DataFrame, request: AnalysisRequest) -> bool:
 
 def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     """Analysis of the rows there are, and what the missing ones could do to it."""
-
-    def refound(rows: pd.DataFrame) -> tuple[Effect, ...]:
-        return _found(rows, request).effects
-
     out = _found(table, request)
     if len(request.layout.block) == 1 and out.error_term.source == "E1":
         quick = replace(request, simulated=False)
-        again = (lambda rows: _found(rows, quick).effects, refound)
+        again = [partial(_effects_alone, request=each) for each in (quick, request)]
         out = replace(out, effects=without_each(table, *request.layout.block, out.effects, again))
     result = assemble(out)
     if not out.data.missing:
@@ -335,10 +319,7 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
 
     # what is filled in repeats the extremes, and is neither a copy nor a limit of the readings
     measured = replace(request, layout=replace(request.layout, copies="independent"))
-
-    def filled(rows: pd.DataFrame) -> tuple[Effect, ...]:
-        return _found(rows, measured).effects
-
+    filled = partial(_effects_alone, request=measured)
     failure_bounds = failures.bounds(table, request, out.effects, filled)
     notes = failures.sentences(failure_bounds, out.data.missing)
     return replace(result, failure_bounds=failure_bounds).warn(*notes)

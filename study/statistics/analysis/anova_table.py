@@ -153,6 +153,27 @@ class SimpleEffect:
 
 
 @dataclass(frozen=True)
+class Contrast:
+    """A named difference with its intervals and its verdict."""
+
+    name: str
+    #: In the unit of the response, or a ratio where its log was analyzed; as the intervals.
+    difference: float
+    #: Of this contrast alone, and of all that were asked for together; None without scatter.
+    ci: tuple[float, float] | None
+    ci_simultaneous: tuple[float, float] | None
+    df: float | None
+    #: Of no difference: alone, and adjusted for all that were asked for (Holm 1979).
+    p: float | None
+    #: Bound of the numerical error; None where it is not known.
+    u: float | None
+    #: Against the smallest difference that matters.
+    verdict: str
+    why: str = ""
+    p_holm: float | None = None
+
+
+@dataclass(frozen=True)
 class CompleteSettings:
     """Settings of other factors at which all levels of a factor can be compared."""
 
@@ -354,3 +375,13 @@ class DepthEffect:
     response: str
     depth_mm: float
     effect: Effect
+
+
+@dataclass(frozen=True)
+class PowerRow:
+    """Detectable difference of two level means with ``n`` blocks or replicates."""
+
+    n: int
+    detectable: float
+    df: tuple[int, int]
+    cost: float | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from study.ground.errors import Fault, InputError, settled
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_result import AnalysisResult, Assumptions
 from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult
-from study.statistics.analysis.data import Crossed, Data
+from study.statistics.analysis.data import Crossed
 from study.statistics.analysis.equal_variance import (
     ResidualDesign,
     SpreadTest,
@@ -145,24 +145,17 @@ def _ryan_joiner(
     out: AnalysisResult, fit: Factored | TwoWayFit
 ) -> tuple[AnalysisResult, RyanJoinerResult]:
     """Ryan-Joiner of the residuals; of many a random sample, which is said."""
-    request, n = out.request, fit.residual.size
-    if n <= MOST_TESTED:
-        return out, ryan_joiner(
-            fit.residual,
-            model_matrix=fit.columns,
-            seed=request.seed,
-            exact=request.exact,
-            alpha=request.alpha,
+    request, values, matrix = out.request, fit.residual, fit.columns
+    if (n := values.size) > MOST_TESTED:
+        # among so many rows a few residuals are as independent as a plain sample
+        chosen = np.random.default_rng(request.seed).choice(n, MOST_TESTED, replace=False)
+        values, matrix = values[np.sort(chosen)], None
+        out = out.warn(
+            f"Ryan-Joiner tests a random {MOST_TESTED:,} of the {n:,} residuals: with more, "
+            "departures from normality that change no conclusion are found as well"
         )
-    # among so many rows a few residuals are as independent as a plain sample
-    chosen = np.random.default_rng(request.seed).choice(n, MOST_TESTED, replace=False)
-    sample = fit.residual[np.sort(chosen)]
-    result = ryan_joiner(sample, seed=request.seed, exact=request.exact, alpha=request.alpha)
-    note = (
-        f"Ryan-Joiner tests a random {MOST_TESTED:,} of the {n:,} residuals: with more, departures "
-        "from normality that change no conclusion are found as well"
-    )
-    return out.warn(note), result
+    seed, exact, alpha = request.seed, request.exact, request.alpha
+    return out, ryan_joiner(values, model_matrix=matrix, seed=seed, exact=exact, alpha=alpha)
 
 
 def _of_residuals(out: AnalysisResult) -> tuple[AnalysisResult, Assumptions]:
@@ -282,28 +275,27 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
     return BoxCoxResult(center, (bound(-0.5), bound(0.5)))
 
 
-def sensitivity_of(
-    data: Data, terms: Sequence[Term], fit: Factored, alpha: float
-) -> AnalysisSensitivity:
+def _of_rows(out: AnalysisResult, fit: Factored) -> AnalysisSensitivity:
     """P of every term in the defensible analyses of rows without blocks; ordinary F: Type III."""
+    data = out.data
     p: dict[str, Mapping[str, float | None]] = {"ordinary F": _ordinary(fit)}
     robust = {
         "HC3 Wald": hc3(fit),
-        "Welch-James": welch_tests(data.layout, data.cell, data.y, terms),
+        "Welch-James": welch_tests(data, data.y, out.terms),
     }
     p |= {how: {k: None if w is None else w.p for k, w in tests.items()}
           for how, tests in robust.items()}  # fmt: skip
     if data.y.min() > 0:
         p["F of the log"] = _ordinary(fitted(fit, np.log(data.y)))
-    return side_by_side([term_name(t) for t in terms], p, alpha)
+    return _side_by_side(out, p)
 
 
-def side_by_side(
-    terms: Sequence[str], probabilities: Mapping[str, Mapping[str, float | None]], alpha: float
+def _side_by_side(
+    out: AnalysisResult, probabilities: Mapping[str, Mapping[str, float | None]]
 ) -> AnalysisSensitivity:
     """Table of p, terms against analyses, and in how many each is below alpha."""
+    terms, alpha, agreement = map(term_name, out.terms), out.request.alpha, {}
     p = {term: {method: ps.get(term) for method, ps in probabilities.items()} for term in terms}
-    agreement = {}
     for term, row in p.items():
         values = [value for value in row.values() if value is not None]
         below = sum(value < alpha for value in values)
@@ -332,9 +324,8 @@ def _robustness(out: AnalysisResult) -> tuple[AnalysisSensitivity | None, BoxCox
     if many or out.fit.rss <= 0 or not isinstance(out.fit, Factored):
         return None, None
     fit = out.fit if not out.request.scale.is_log else fitted(out.fit, out.data.y)
-    table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
     power = box_cox(out.data.y, out.fit.matrix.columns) if out.data.y.min() > 0 else None
-    return table, power
+    return _of_rows(out, fit), power
 
 
 def _blocked(out: AnalysisResult, table: Crossed) -> AnalysisSensitivity:
@@ -350,7 +341,7 @@ def _blocked(out: AnalysisResult, table: Crossed) -> AnalysisSensitivity:
     if not out.request.scale.is_log and table.y.min() > 0:
         logged = _tests(out, model, replace(table, y=np.log(table.y)), kind)
         p["own interaction of the log"] = _p(logged, "gg")
-    return side_by_side([term_name(t) for t in out.terms], p, out.request.alpha)
+    return _side_by_side(out, p)
 
 
 def _tests(out: AnalysisResult, model: Factorization, table: Crossed, kind: str) -> OwnTests:

@@ -17,7 +17,7 @@ from study.ground.arrays import Array, Ints, chunks
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.anova_table import Comparison
-from study.statistics.analysis.simple_effects import CANNOT_TELL, Differences, claim
+from study.statistics.analysis.simple_effects import CANNOT_TELL, Confidence, Differences, claim
 
 
 @dataclass(frozen=True)
@@ -251,10 +251,10 @@ def all_contrasts(k: int, df: float, alpha: float, *, by_block: bool) -> float |
 
 
 def block_multiplier(
-    contrasts: Array, alpha: float, seed: int | None, groups: Sequence[Ints], df: Array
+    contrasts: Array, groups: Sequence[Ints], df: Array, confidence: Confidence
 ) -> Array:
     """Multipliers (m,) of the standard errors for simultaneous intervals of contrasts (m, b)."""
-    m, b = contrasts.shape
+    (m, b), (alpha, seed) = contrasts.shape, confidence
     safe = t_quantile(alpha / (2 * max(m, 1)), df)
     if seed is None or m <= 1 or min(len(part) for part in groups) < FEWEST_BLOCKS:
         return safe
@@ -328,14 +328,14 @@ def _short(z: Array) -> Array:
 
 
 def pooled_multiplier(
-    differences: Differences, length: Array, df: float, alpha: float, seed: int | None
+    differences: Differences, length: Array, df: float, confidence: Confidence
 ) -> float:
     """Multiplier where one error variance serves all contrasts of some length (m,).
 
     Simulated quantile of the largest |t| of a multivariate t (Hothorn, Bretz and Westfall 2008);
     never above Bonferroni's.
     """
-    estimated = np.flatnonzero(length > 1e-12 * length.max(initial=0.0))
+    estimated, (alpha, seed) = np.flatnonzero(length > 1e-12 * length.max(initial=0.0)), confidence
     safe = t_quantile(alpha / (2 * max(len(estimated), 1)), df)
     if len(estimated) <= 1 or seed is None:
         return safe

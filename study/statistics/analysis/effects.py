@@ -21,11 +21,10 @@ from study.statistics.analysis.comparisons import (
     t_quantile,
 )
 from study.statistics.analysis.linear_model import (
-    CellLayout,
     ModelMatrix,
     Term,
     grid,
-    model_matrix,
+    setting_rows,
     term_name,
 )
 from study.statistics.analysis.simple_effects import (
@@ -36,6 +35,7 @@ from study.statistics.analysis.simple_effects import (
     NOT_RESOLVED,
     ONE_SPECIMEN,
     SEE_SIMPLE,
+    Confidence,
     Differences,
     Estimates,
     Judgement,
@@ -76,33 +76,25 @@ class TermEstimate:
 
 
 def term_rows(
-    layout: CellLayout, fit: Factored, term: Term
+    fit: Factored, term: Term
 ) -> tuple[tuple[str, ...], Array, Array, CompleteSettings | None]:
     """Levels of a term, and the combinations (k, p) that give their components and means.
 
     Beside empty cells the components of a factor are those of the settings of others at which all
     its levels can be compared, if there are any: these are given too.
     """
-    matrix = fit.matrix
+    matrix, layout = fit.matrix, fit.matrix.layout
     cells = grid(layout, term)
-    inner = [t for t in matrix.terms[1:] if set(t) <= set(term)]
-    first = np.zeros(cells.n, dtype=np.int64)
-    padded = CellLayout(layout.levels, {n: cells.codes.get(n, first) for n in layout.levels})
-    # the full list of terms decides how each factor is coded, so it is coded as in the fit
-    local = model_matrix(padded, matrix.terms[1:])
-    component = np.zeros((cells.n, matrix.columns.shape[1]))
-    mean = np.zeros_like(component)
-    mean[:, 0] = 1.0
-    for t in inner:
-        at = matrix.of(t)
-        mean[:, at] = local.columns[:, local.of(t)]
-    component[:, matrix.of(term)] = local.columns[:, local.of(term)]
+    inner = [t for t in matrix.terms if set(t) <= set(term)]
+    mean = setting_rows(matrix, cells.codes, inner)
+    component, at = np.zeros_like(mean), matrix.of(term)
+    component[:, at] = mean[:, at]
     labels = tuple(map(" ".join, zip(*map(cells.labels, term), strict=True)))
     if len(term) != 1 or fit.estimable(component).all():
         return labels, component, mean, None
-    k, names = len(labels), partners(term[0], fit.matrix.terms)
+    k, names = len(labels), partners(term[0], matrix.terms)
     settings = list(product(*(range(len(layout.levels[name])) for name in names)))
-    each = columns_at(term[0], layout, fit.matrix, names, settings).reshape(len(settings), k, -1)
+    each = columns_at(term[0], matrix, names, settings).reshape(len(settings), k, -1)
     centred = each - each.mean(axis=1, keepdims=True)
     complete = fit.estimable(centred.reshape(len(settings) * k, -1)).reshape(-1, k).all(axis=1)
     if not complete.any():
@@ -112,35 +104,24 @@ def term_rows(
 
 
 def pooled_estimate(
-    layout: CellLayout,
-    fit: Factored,
-    term: Term,
-    df: float,
-    p: float | None,
-    alpha: float,
-    rss: float,
+    fit: Factored, term: Term, df: float, p: float | None, alpha: float, rss: float
 ) -> TermEstimate:
     """Estimate of a term with the error variance ``rss / df`` (none where df is 0)."""
-    sample = with_pooled_error(fit, rss, df, alpha, None)
-    levels = [len(layout.levels[name]) for name in term]
+    sample = with_pooled_error(fit, rss, df, Confidence(alpha))
+    levels = [len(fit.matrix.layout.levels[name]) for name in term]
     sizes = math.prod(levels), math.prod(k - 1 for k in levels)
     multiplier = critical(*sizes, df, alpha, main=len(term) == 1) if df > 0 else None
-    return sampled_estimate(layout, fit, term, p, sample, multiplier)
+    return sampled_estimate(fit, term, p, sample, multiplier)
 
 
 def sampled_estimate(
-    layout: CellLayout,
-    fit: Factored,
-    term: Term,
-    p: float | None,
-    sample: Sample,
-    multiplier: float | None = None,
+    fit: Factored, term: Term, p: float | None, sample: Sample, multiplier: float | None = None
 ) -> TermEstimate:
     """Estimate of a term whose differences and means have standard errors of their own each.
 
     ``multiplier`` is that of the differences; None for the sample's own.
     """
-    levels, component_rows, mean_rows, complete = term_rows(layout, fit, term)
+    levels, component_rows, mean_rows, complete = term_rows(fit, term)
     k = len(levels)
     alone = sample(Differences.alone(np.vstack([component_rows, mean_rows])))
     component, mean = alone.value[:k], fit.shift + alone.value[k:]
@@ -156,7 +137,7 @@ def sampled_estimate(
             half = np.zeros((k, k))
             wide = pairs.error * (pairs.simultaneous if multiplier is None else multiplier)
             half[first, second] = half[second, first] = wide
-    settings = tuple(product(*(layout.levels[name] for name in term)))
+    settings = tuple(product(*(fit.matrix.layout.levels[name] for name in term)))
     return TermEstimate(term, levels, component, mean, half, mean_half, p, settings, complete)
 
 
@@ -196,12 +177,7 @@ def estimated_differences(fit: Factored, differences: Differences) -> Array:
 
 
 def over_groups(
-    fit: Factored,
-    added: Array,
-    groups: Sequence[Ints],
-    alpha: float,
-    seed: int | None,
-    reading: float = 0.0,
+    fit: Factored, added: Array, groups: Sequence[Ints], confidence: Confidence
 ) -> Sample:
     """Estimate combinations of ``added`` (p, b) by a variance in each group of blocks (Welch)."""
 
@@ -209,14 +185,12 @@ def over_groups(
         estimable = estimable_differences(fit, differences)
         value = np.where(estimable[:, None], differences.times(added), np.nan)
         error, df = group_errors(value, groups)
-        if reading:
-            roots = replace(differences, settings=differences.settings @ fit.inverse)
-            error = np.maximum(error, reading * roots.lengths())
         estimable = np.asarray(np.isfinite(value).all(axis=1))
         wide = np.zeros(len(value))
         if estimable.any():
-            wide[estimable] = block_multiplier(value[estimable], alpha, seed, groups, df[estimable])
-        return Estimates(value.sum(axis=1), error, t_quantile(alpha / 2, df), wide, df)
+            wide[estimable] = block_multiplier(value[estimable], groups, df[estimable], confidence)
+        single = t_quantile(confidence.alpha / 2, df)
+        return Estimates(value.sum(axis=1), error, single, wide, df)
 
     return estimate
 
@@ -232,9 +206,7 @@ def group_errors(value: Array, groups: Sequence[Ints]) -> tuple[Array, Array]:
     return np.sqrt(total), df
 
 
-def with_pooled_error(
-    fit: Factored, rss: float, df: float, alpha: float, seed: int | None
-) -> Sample:
+def with_pooled_error(fit: Factored, rss: float, df: float, confidence: Confidence) -> Sample:
     """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
 
     def estimate(differences: Differences) -> Estimates:
@@ -246,9 +218,9 @@ def with_pooled_error(
         length = roots.lengths()
         if estimable.any():
             some = roots.take(estimable)
-            wide = pooled_multiplier(some, length[estimable], df, alpha, seed)
+            wide = pooled_multiplier(some, length[estimable], df, confidence)
         error = length * math.sqrt(rss / df)
-        return Estimates(value, error, t_quantile(alpha / 2, df), wide, df)
+        return Estimates(value, error, t_quantile(confidence.alpha / 2, df), wide, df)
 
     return estimate
 
@@ -353,16 +325,14 @@ MOST_RANGES = 66
 PSEUDO_DRAWS = 4000
 
 
-def with_pseudo_error(
-    fit: Factored, contrasts: Array, alpha: float, seed: int | None, y: Array, reading: float = 0.0
-) -> Sample:
+def with_pseudo_error(fit: Factored, contrasts: Array, confidence: Confidence, y: Array) -> Sample:
     """Estimate combinations of an unreplicated design with Lenth's pseudo standard error.
 
     Limits are quantiles of the same combinations of simulated null contrasts over their own
     pseudo standard error, as those of :func:`study.statistics.analysis.unreplicated.lenth`.
     """
     values = contrasts.T @ (y - y[0])
-    pse = max(reading, float(pseudo_standard_error(values)))
+    pse = float(pseudo_standard_error(values))
 
     def estimate(differences: Differences) -> Estimates:
         along = fit.q.T @ contrasts
@@ -370,15 +340,15 @@ def with_pseudo_error(
         length = np.linalg.norm(weight, axis=1)
         estimable = estimable_differences(fit, differences) & (length > 0)
         single, largest = np.full(len(weight), np.inf), np.zeros(PSEUDO_DRAWS)
-        z = np.random.default_rng(seed or 0).standard_normal((PSEUDO_DRAWS, len(values)))
+        random, share = np.random.default_rng(confidence.seed or 0), 1 - confidence.alpha
+        z = random.standard_normal((PSEUDO_DRAWS, len(values)))
         null = pseudo_standard_error(z)
         for i in np.flatnonzero(estimable):
             t = np.abs(z @ weight[i]) / length[i] / null
             largest = np.maximum(largest, t)
-            single[i] = np.quantile(t, 1 - alpha)
+            single[i] = np.quantile(t, share)
         value = np.where(estimable, weight @ values, np.nan)
-        every = float(np.quantile(largest, 1 - alpha))
-        return Estimates(value, pse * length, single, every)
+        return Estimates(value, pse * length, single, float(np.quantile(largest, share)))
 
     return estimate
 
@@ -456,9 +426,12 @@ class Rival:
 
     why: str
     sample: Sample
+    #: Those that have to be made here as well; of none it is its note alone that is told.
     claims: tuple[str, ...] = CLAIMS
     matrix: ModelMatrix | None = None
     practical: float | None = None
+    #: What a test of the printed analysis has shown, whether it asks for this one or not.
+    note: str = ""
 
 
 def refusal(why: str) -> Rival:
@@ -475,8 +448,6 @@ def refusal(why: str) -> Rival:
 class Gate:
     """The printed analysis of differences, and the rivals that every claim of it has to pass."""
 
-    #: Levels of the columns of the models.
-    layout: CellLayout
     matrix: ModelMatrix
     scale: Scale
     sample: Sample
@@ -484,15 +455,20 @@ class Gate:
     #: Why differences that average over factors are not judged; empty if they are.
     undecided: str = ""
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the tests behind the rivals have shown."""
+        return tuple(rival.note for rival in self.rivals if rival.note)
+
     def judged(self, terms: Sequence[Term]) -> dict[str, SimpleEffects]:
         """Judge every factor of a model by its simple effects."""
         judged_factors, scale = {}, self.scale
         for (name,) in (term for term in terms if len(term) == 1):
-            judged = partial(simple_effects, name, self.layout, bound=scale.bound, only=scale.only)
+            judged = partial(simple_effects, name, bound=scale.bound, only=scale.only)
             printed = judged(self.matrix, self.sample, practical=scale.practical)
             if printed is None:
                 if self.undecided:
-                    judged_factors[name] = SimpleEffects(name, CANNOT_TELL, self.undecided, ())
+                    judged_factors[name] = SimpleEffects(CANNOT_TELL, self.undecided, ())
                 continue
             for rival in self.rivals:
                 if not {e.verdict for e in printed.effects} & set(CLAIMS) & set(rival.claims):

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints, chunks
-from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
+from study.statistics.analysis.data import Data
+from study.statistics.analysis.linear_model import Term, model_matrix, term_name
 from study.statistics.analysis.sums_of_squares import Factored, FRatioTest, factor, term_sums
 
 Groups = Mapping[str, ArrayLike] | Sequence[ArrayLike]
@@ -368,8 +369,6 @@ def _johansen(n: Array, mean: Array, variance: Array, contrast: Array) -> FRatio
 
     Shapes: n, mean, variance (cells,); contrast (d, cells).
     """
-    from scipy.special import fdtrc
-
     if n.min() < 2 or variance.min() <= 0:
         return None
     s = variance / n
@@ -384,19 +383,16 @@ def _johansen(n: Array, mean: Array, variance: Array, contrast: Array) -> FRatio
     a = float(np.sum(2 * weight**2 / (n - 1))) / 2
     d = contrast.shape[0]
     scale = d + 2 * a - 6 * a / (d + 2)
-    f, df_error = t / scale, d * (d + 2) / (3 * a)
-    return FRatioTest(f, float(d), df_error, float(fdtrc(d, df_error, f)))
+    return FRatioTest.of(t / scale, d, d * (d + 2) / (3 * a))
 
 
-def welch_tests(
-    layout: CellLayout, cell: Ints, y: Array, terms: Sequence[Term]
-) -> dict[str, FRatioTest | None]:
+def welch_tests(data: Data, y: Array, terms: Sequence[Term]) -> dict[str, FRatioTest | None]:
     """Welch and James's test of every estimable term, with a variance of its own in each cell."""
-    present, first, index = np.unique(cell, return_index=True, return_inverse=True)
+    present, first, index = np.unique(data.cell, return_index=True, return_inverse=True)
     n = np.bincount(index).astype(float)
     mean = np.bincount(index, y - y[0]) / n
     variance, _ = own_variances(y, index)
-    fit = factor(model_matrix(layout.take(first), terms), np.arange(float(present.size)))
+    fit = factor(model_matrix(data.layout.take(first), terms), np.arange(float(present.size)))
     return {
         term_name(s.term): None
         if s.df < s.nominal_df

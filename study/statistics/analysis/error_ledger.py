@@ -12,7 +12,7 @@ from study.ground.errors import Fault, InputError
 from study.statistics.analysis import unreplicated
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import AnalysisResult, kind_of
-from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
+from study.statistics.analysis.anova_table import ErrorTerm, Row
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.effects import (
     Gate,
@@ -21,7 +21,6 @@ from study.statistics.analysis.effects import (
     pooled_estimate,
     refusal,
     sampled_estimate,
-    size,
     with_pooled_error,
     with_pseudo_error,
 )
@@ -50,10 +49,10 @@ from study.statistics.analysis.sums_of_squares import (
     TwoWayFit,
     alias_warnings,
     factor,
+    table_of,
     term_row,
     term_sums,
     two_way,
-    with_shares,
 )
 from study.statistics.analysis.unreplicated import LenthResult
 
@@ -184,39 +183,38 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
     declared = out.structure.asked
     judged = factor(model_matrix(data.layout, declared, extra=extra), out.y) if declared else fit
 
+    alpha = out.request.alpha
+
     def estimated(term: Term) -> TermEstimate:
-        p, alpha = by_name[term_name(term)].p, out.request.alpha
-        estimate = pooled_estimate(data.layout, judged, term, df, p, alpha, error_rss)
+        p = by_name[term_name(term)].p
+        estimate = pooled_estimate(judged, term, df, p, alpha, error_rss)
         if judged is not fit and np.isnan(estimate.component).any():
-            return pooled_estimate(data.layout, fit, term, df, p, alpha, error_rss)
+            return pooled_estimate(fit, term, df, p, alpha, error_rss)
         return estimate
 
-    alpha, seed = out.request.alpha, out.request.interval_seed
     estimates = [estimated(term) for term in out.terms]
-    sample = with_pooled_error(judged, error_rss, df, alpha, seed)
-    gate, simple = gate_of(out, data.layout, judged, sample), {}
+    sample = with_pooled_error(judged, error_rss, df, out.request.confidence)
+    gate, simple = gate_of(out, judged, sample), {}
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
     if lenth is not None and error.source == "E6" and two_levels and not out.request.records:
         estimates, gate = _by_pseudo_error(out, (judged, fit), estimates, lenth)
         simple = gate.judged(out.terms)
     elif df or out.scale.deterministic:
-        rivals, notes = rivals_of_rows(out, judged, error_rss, df, sample) if df else ([], [])
-        of_blocks, seen = rivals_beside_crossing_blocks(out, judged)
-        rivals, notes = rivals + of_blocks, notes + seen
-        rivals = [refusal(untested), *rivals] if untested else rivals
-        out = out.warn(*notes)
+        rivals = [refusal(untested)] if untested else []
+        rivals += rivals_of_rows(out, judged, error_rss, df, sample) if df else []
+        rivals += rivals_beside_crossing_blocks(out, judged)
         gate = replace(gate, rivals=(*gate.rivals, *rivals))
         simple = gate.judged(out.terms)
     outer = _of_outer_factors(out)
     gate = replace(gate, undecided=next((e.why for e in outer.values()), gate.undecided))
     simple |= outer
-    effects = [size(e, out.scale, simple) for e in estimates]
+    table = table_of(kind, rows, out.y.size, fit.tss)
+    out = out.concluded(error, table, estimates, gate, simple)
     if untested and df == 0:
-        effects = [replace(e, why=untested) if e.is_main else e for e in effects]
-    anova = Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss)
+        effects = (replace(e, why=untested) if e.is_main else e for e in out.effects)
+        out = replace(out, effects=tuple(effects))
     judged_fit = fit if df else None
-    out = replace(out, error_term=error, anova=anova, effects=tuple(effects), lenth=lenth)
-    return replace(out, fit=judged_fit, model=judged_fit, gate=gate)
+    return replace(out, fit=judged_fit, model=judged_fit, lenth=lenth)
 
 
 def _remedies(out: AnalysisResult) -> str:
@@ -279,7 +277,7 @@ def welch(out: AnalysisResult) -> AnalysisResult:
     sums = term_sums(fit, "III")
     error, cautions = _replicates(out, {})
     out = out.warn(*alias_warnings(sums), *cautions)
-    tests = welch_tests(data.layout, data.cell, out.y, out.terms)
+    tests = welch_tests(data, out.y, out.terms)
     rows = []
     for s in sums:
         row, test = term_row(s, 0, fit.rss, fit.tss), tests[term_name(s.term)]
@@ -289,23 +287,17 @@ def welch(out: AnalysisResult) -> AnalysisResult:
     rows.append(Row("residual", fit.df_residual, fit.rss))
     variances = own_variances(out.y, cell)
     sample = cell_welch(fit, cell, variances, out.request.alpha, 0.0, cautious=False)
-    rivals, notes = rivals_of_rows(out, fit, fit.rss, fit.df_residual, sample)
-    gate = gate_of(out, data.layout, fit, sample, rivals)
-    simple = gate.judged(out.terms)
+    rivals = rivals_of_rows(out, fit, fit.rss, fit.df_residual, sample)
+    gate = gate_of(out, fit, sample, rivals)
     p = {row.term: row.p for row in rows}
-    estimates = [
-        sampled_estimate(data.layout, fit, term, p[term_name(term)], sample) for term in out.terms
-    ]
+    estimates = [sampled_estimate(fit, term, p[term_name(term)], sample) for term in out.terms]
     reason = (
         "as asked for: every cell has a variance of its own (Welch, Johansen 1980; intervals of "
         "one factor by Games and Howell)"
     )
     df = {row.term: row.df_error for row in rows if row.df_error is not None}
-    anova = Anova("III", with_shares(rows, fit.tss), out.y.size - 1, fit.tss)
-    effects = tuple(size(e, out.scale, simple) for e in estimates)
-    out, error = out.warn(*notes), replace(error, df=df, reason=reason)
-    out = replace(out, error_term=error, anova=anova, effects=effects)
-    return replace(out, fit=fit, model=fit, gate=gate)
+    error, table = replace(error, df=df, reason=reason), table_of("III", rows, out.y.size, fit.tss)
+    return replace(out.concluded(error, table, estimates, gate), fit=fit, model=fit)
 
 
 def _resamples(out: AnalysisResult) -> float:
@@ -331,7 +323,6 @@ def _of_outer_factors(out: AnalysisResult) -> dict[str, SimpleEffects]:
     """Judge factors within which others lie: their levels are the replicates, and not the rows."""
     return {
         outer: SimpleEffects(
-            outer,
             CANNOT_TELL,
             f"{inner} lies within it, and the rows do not tell how other levels of {inner} would "
             f"differ: --unit {inner} judges by its levels",
@@ -353,17 +344,17 @@ def _by_pseudo_error(
 
     ``fits``: of all requested terms, and of the terms that the runs can separate.
     """
-    layout, alpha, seed = out.data.layout, out.request.alpha, out.request.interval_seed
+    confidence = out.request.confidence
     _, contrasts, is_orthogonal = unreplicated.saturated_contrasts(out.data, out.terms)
-    samples = [with_pseudo_error(fit, contrasts, alpha, seed, out.y) for fit in fits]
+    samples = [with_pseudo_error(fit, contrasts, confidence, out.y) for fit in fits]
     rivals = rivals_of_contrasts(out, fits[0], contrasts)
-    gate = gate_of(out, layout, fits[0], samples[0], rivals)
+    gate = gate_of(out, fits[0], samples[0], rivals)
     if is_orthogonal:
         return [_with_margin(e, lenth) for e in estimates], gate
     margin, wide = lenth.sme / max(lenth.pse, 1e-300), []
     for e in estimates:
         each = zip(fits, samples, strict=True)
-        halves = (sampled_estimate(layout, fit, e.term, e.p, of, margin).half for fit, of in each)
+        halves = (sampled_estimate(fit, e.term, e.p, of, margin).half for fit, of in each)
         wide.append(replace(e, half=next((half for half in halves if half is not None), None)))
     return wide, gate
 

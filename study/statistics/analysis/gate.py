@@ -20,14 +20,13 @@ from study.ground.units import p_phrase
 from study.statistics.analysis.analysis_request import ResponseScale
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.comparisons import t_quantile
-from study.statistics.analysis.data import Data, chance_of_tie, rows_at_limit
+from study.statistics.analysis.data import Crossed, Data, chance_of_tie, rows_at_limit
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
     Gate,
     Rival,
     cell_welch,
-    over_groups,
     refusal,
     with_pooled_error,
     with_pseudo_error,
@@ -35,6 +34,7 @@ from study.statistics.analysis.effects import (
 from study.statistics.analysis.equal_variance import doubted_variances, volatile_beside_blocks
 from study.statistics.analysis.linear_model import (
     CellLayout,
+    ModelMatrix,
     Term,
     balanced,
     factorize,
@@ -45,8 +45,10 @@ from study.statistics.analysis.linear_model import (
     terms_of,
 )
 from study.statistics.analysis.simple_effects import (
+    CLAIMS,
     MATTERS,
     NO_DIFFERENCE,
+    Confidence,
     Differences,
     Estimates,
     Sample,
@@ -109,18 +111,14 @@ STILL = (
 
 
 def gate_of(
-    out: AnalysisResult,
-    layout: CellLayout,
-    fit: Factored,
-    sample: Sample,
-    rivals: Sequence[Rival] = (),
+    out: AnalysisResult, fit: Factored, sample: Sample, rivals: Sequence[Rival] = ()
 ) -> Gate:
     """Return the gate of the claims of an analysis."""
     reasons = [] if out.request.records else [*_numbered_units(out.data, nested_in(out.terms))]
     if not out.request.records and out.request.layout.copies == "refuse":
         reasons += filter(None, [rows_at_limit(out.data)])
     every = (*map(refusal, reasons), *rivals)
-    return Gate(layout, fit.matrix, out.scale, sample, every, out.structure.undecided)
+    return Gate(fit.matrix, out.scale, sample, every, out.structure.undecided)
 
 
 #: names of what is numbered, and no setting that anybody chose
@@ -188,16 +186,20 @@ def rivals_over_groups(
 
     ``added`` (p, b) is what each block of y (cells, b) adds to the coefficients.
     """
-    alpha, seed = out.request.alpha, out.request.interval_seed
-    rivals, reading = [], reading_error(out)
+    confidence, rivals, reading = out.request.confidence, [], reading_error(out)
     if not out.request.records and out.replicates == "runs":
         rivals.append(Rival(NO_SCATTER, _with_scatter(sample, float(np.abs(y).max()))))
     if reading and out.replicates == "runs":
-        rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
+        rivals.append(rival_of_rounding(sample, lambda rows: rows @ fit.inverse, reading))
     if out.replicates != "noise":
-        rivals.append(any_shape(alpha, seed, sample, lambda rows: rows @ added, groups, y))
-        rivals += limit_rivals(out.request.scale, out.request.alpha, sample, y.mean(axis=0))
+        rivals.append(any_shape(confidence, sample, lambda rows: rows @ added, groups, y))
+        rivals += limit_rivals(out.request.scale, confidence.alpha, sample, y.mean(axis=0))
     return rivals
+
+
+def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
+    """Fit of the terms to the means of the cells."""
+    return factor(model_matrix(table.layout, terms), table.y.mean(axis=1))
 
 
 def per_block(fit: Factored, y: Array) -> Array:
@@ -207,35 +209,34 @@ def per_block(fit: Factored, y: Array) -> Array:
 
 def rivals_of_rows(
     out: AnalysisResult, fit: Factored, rss: float, df: float, sample: Sample
-) -> tuple[list[Rival], list[str]]:
-    """Rivals where one pooled variance serves all rows, and what was seen of the declared model."""
-    alpha, seed = out.request.alpha, out.request.interval_seed
-    rivals, reading = [], reading_error(out)
+) -> list[Rival]:
+    """Rivals where one pooled variance serves all rows."""
+    confidence, rivals, reading = out.request.confidence, [], reading_error(out)
     if reading and rss < df * reading**2:
-        rivals.append(Rival(COARSE, with_pooled_error(fit, df * reading**2, df, alpha, seed)))
+        rivals.append(Rival(COARSE, with_pooled_error(fit, df * reading**2, df, confidence)))
     if out.data.block is None and out.replicates in ("runs", "mesh-seeds"):
         rivals += _rivals_of_cells(out, fit, sample, reading)
     elif out.data.block is not None and not out.request.records and out.y.size <= _MOST_PAIRS:
         index = np.unique(out.data.cell, return_inverse=True)[1]
         if variances := volatile_beside_blocks(fit, index):
             rows = np.arange(out.y.size)
-            unequal = cell_welch(fit, index, variances, alpha, reading, rows)
+            unequal = cell_welch(fit, index, variances, confidence.alpha, reading, rows)
             rivals.append(Rival(UNEQUAL, unequal))
     means = out.y.mean() + fit.residual if out.data.block is None else block_means(out.data, out.y)
     if out.replicates != "noise" and not out.request.records:
-        rivals += limit_rivals(out.request.scale, out.request.alpha, sample, means)
-    more, notes = _rival_of_rows(out, fit)
-    return rivals + more, notes
+        rivals += limit_rivals(out.request.scale, confidence.alpha, sample, means)
+    return rivals + _rival_of_rows(out, fit)
 
 
 def rivals_of_contrasts(out: AnalysisResult, fit: Factored, contrasts: Array) -> list[Rival]:
     """Rivals where Lenth's pseudo standard error of contrasts (n, m) serves all rows."""
-    alpha, seed, reading = out.request.alpha, out.request.interval_seed, reading_error(out)
+    reading = reading_error(out)
     if not reading:
         values = contrasts.T @ (out.y - out.y[0])
         floor = ulp_floor(out.y) * math.sqrt(out.y.size)
         return [refusal(NO_CONTRAST)] if float(pseudo_standard_error(values)) <= floor else []
-    return [Rival(COARSE, with_pseudo_error(fit, contrasts, alpha, seed, out.y, reading))]
+    sample = with_pseudo_error(fit, contrasts, out.request.confidence, out.y)
+    return [rival_of_rounding(sample, lambda rows: rows @ fit.inverse, reading)]
 
 
 def every_term(out: AnalysisResult, layout: CellLayout) -> tuple[Term, ...] | None:
@@ -250,32 +251,37 @@ def every_term(out: AnalysisResult, layout: CellLayout) -> tuple[Term, ...] | No
 
 
 def rival_of_every_term(
-    out: AnalysisResult, whole: Factored, at: Callable[[float], Sample]
-) -> tuple[list[Rival], list[str]]:
+    out: AnalysisResult, whole: Factored, at: Callable[[Confidence], Sample]
+) -> list[Rival]:
     """Rival of the full model, where a coefficient that the declared one leaves out may not be 0.
 
-    ``at`` gives the full model's sample at an error probability; the coefficients are tested one
-    by one, at that of doubt over their number.
+    ``at`` gives the full model's sample; the coefficients are tested one by one, at the error
+    probability of doubt over their number.
     """
     factors = set(out.data.factors)
     left_out = [t for t in whole.matrix.terms if t and t not in out.terms and set(t) <= factors]
     if not left_out:
-        return [], []
+        return []
     rows = np.eye(whole.columns.shape[1])[np.r_[tuple(map(whole.matrix.of, left_out))]]
-    estimates = at(DOUBT / len(rows))(Differences.alone(rows))
+    confidence = out.request.confidence
+    estimates = at(confidence._replace(alpha=DOUBT / len(rows)))(Differences.alone(rows))
     if estimates.error is None:
-        return [], []
+        return []
     with np.errstate(invalid="ignore"):
         seen = int(np.sum(np.abs(estimates.value) > estimates.error * estimates.single))
     if not seen:
-        return [], []
+        return []
     note = f"{LACK}: {seen} of {len(rows)} coefficients that it leaves out may not be zero"
-    return [Rival(f"{LACK_OF_FIT} ({note})", at(out.request.alpha), matrix=whole.matrix)], [note]
+    return [rival_of_lack(note, 0.0, at(confidence), whole.matrix)]
 
 
-def rival_over_blocks(
-    fit: Factored, whole: Factored, y: Array, sample: Sample
-) -> tuple[list[Rival], list[str]]:
+def rival_of_lack(note: str, p: float, sample: Sample, matrix: ModelMatrix) -> Rival:
+    """Rival of a larger model; where a test finds no lack of fit of the declared one, its note."""
+    claims = CLAIMS if p < DOUBT else ()
+    return Rival(f"{LACK_OF_FIT} ({note})", sample, claims, matrix, note=note)
+
+
+def rival_over_blocks(fit: Factored, whole: Factored, y: Array, sample: Sample) -> list[Rival]:
     """Rival of the full model, where what the declared one leaves out is seen over the blocks.
 
     ``sample`` is that of the full model; the terms left out are tested against their own
@@ -286,7 +292,7 @@ def rival_over_blocks(
     rest = span(whole.q - fit.q @ (fit.q.T @ whole.q))
     df, b = rest.shape[1], y.shape[1]
     if not df:
-        return [], []
+        return []
     z = rest.T @ (y - y[0, 0])
     centre, test = z.mean(axis=1), over_blocks(z)
     if test is None:
@@ -294,41 +300,39 @@ def rival_over_blocks(
     else:
         spread = np.sqrt(np.maximum(z.var(axis=1, ddof=1), 1e-300) / b)
         p = min(test.p, df * float(2 * stdtr(b - 1, -np.abs(centre) / spread).min()))
-        note = f"{LACK}: F({df:g}, {df * (b - 1):g}) = {test.f:.4g}, {p_phrase(test.p)}"
-        note += " against the blocks"
-    rivals = [Rival(f"{LACK_OF_FIT} ({note})", sample, matrix=whole.matrix)] if p < DOUBT else []
-    return rivals, [note]
+        of_rows = replace(test, df=float(df), df_error=float(df * (b - 1)))
+        note = f"{LACK}: {of_rows.words} against the blocks"
+    return [rival_of_lack(note, p, sample, whole.matrix)]
 
 
-def _rival_of_rows(out: AnalysisResult, fit: Factored) -> tuple[list[Rival], list[str]]:
+def _rival_of_rows(out: AnalysisResult, fit: Factored) -> list[Rival]:
     """Rival of the full model, where the rows do not rule out what the declared one leaves out."""
-    alpha, seed, data = out.request.alpha, out.request.interval_seed, out.data
+    confidence, data = out.request.confidence, out.data
     full = every_term(out, data.layout)
     if full is None:
-        return [], []
+        return []
     blocks = [(name,) for name in data.blocks]
     whole = factor(model_matrix(data.layout, full, extra=blocks), out.y)
     df, left = fit.df_residual - whole.df_residual, whole.df_residual
     if df <= 0:
-        return [], []
+        return []
     if (test := extra_sum(fit.rss - whole.rss, df, whole.rss, left)) is not None:
-        p, note = test.p, f"{LACK}: F({df:g}, {left:g}) = {test.f:.4g}, {p_phrase(test.p)}"
-        sample = with_pooled_error(whole, whole.rss, left, alpha, seed)
+        p, note = test.p, f"{LACK}: {test.words}"
+        sample = with_pooled_error(whole, whole.rss, left, confidence)
     elif data.block is not None or int(np.bincount(data.cell).max()) > 1:
-        return [], []
+        return []
     else:
         whole, names, contrasts, declared = _one_df_directions(out)
         left_out, is_full = names[declared:], balanced(data.layout, data.factors)
         if len(left_out) < (LEAST_CONTRASTS if is_full else LEAST_LEFT_OUT):
-            return [], []
+            return []
         values = contrasts[:, declared:].T @ (out.y - out.y[0])
         sparse = lenth(values, left_out, seed=out.request.seed)
         p, largest = min(sparse.p) * len(left_out), left_out[int(np.argmin(sparse.p))]
         seen = "stands out" if p < DOUBT else "is the largest and does not stand out"
         note = f"of the interactions declared negligible, {largest} {seen}: {p_phrase(min(1.0, p))}"
-        sample = with_pseudo_error(whole, contrasts, alpha, seed, out.y)
-    rivals = [Rival(f"{LACK_OF_FIT} ({note})", sample, matrix=whole.matrix)] if p < DOUBT else []
-    return rivals, [note]
+        sample = with_pseudo_error(whole, contrasts, confidence, out.y)
+    return [rival_of_lack(note, p, sample, whole.matrix)]
 
 
 def _one_df_directions(out: AnalysisResult) -> tuple[Factored, list[str], Array, int]:
@@ -367,8 +371,8 @@ def _rivals_of_cells(
     if counts.max() >= FEWEST_FOR_SHAPE and counts.min() >= 2 and is_small:
         groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts)[:-1])
         added = (fit.inverse @ fit.q.T) * (out.y - fit.shift)
-        alpha, seed = out.request.alpha, out.request.interval_seed
-        rivals.append(any_shape(alpha, seed, sample, lambda rows: rows @ added, groups, out.y))
+        confidence = out.request.confidence
+        rivals.append(any_shape(confidence, sample, lambda rows: rows @ added, groups, out.y))
     return rivals
 
 
@@ -399,9 +403,23 @@ def _with_scatter(sample: Sample, largest: float) -> Sample:
     return estimate
 
 
+def rival_of_rounding(sample: Sample, along: Callable[[Array], Array], reading: float) -> Rival:
+    """Rival whose rows scatter at least by what rounding gives a reading (standard deviation).
+
+    ``along`` turns combinations of the coefficients to those of orthonormal columns.
+    """
+
+    def estimate(differences: Differences) -> Estimates:
+        estimates = sample(differences)
+        least = reading * replace(differences, settings=along(differences.settings)).lengths()
+        error = least if estimates.error is None else np.maximum(estimates.error, least)
+        return replace(estimates, error=error)
+
+    return Rival(COARSE, estimate)
+
+
 def any_shape(
-    alpha: float,
-    seed: int | None,
+    confidence: Confidence,
     sample: Sample,
     values: Callable[[Array], Array],
     groups: Sequence[Ints],
@@ -416,7 +434,7 @@ def any_shape(
     blocks have one sign, beyond chance, may be as large as the mean of a lognormal (upper limit by
     Cox's method; Zhou and Gao 1997, Statist. Med. 16, 783-790).
     """
-    rounding = _ROUNDING * float(np.abs(y).max())
+    rounding, (alpha, seed) = _ROUNDING * float(np.abs(y).max()), confidence
 
     def estimate(differences: Differences) -> Estimates:
         estimates = sample(differences)

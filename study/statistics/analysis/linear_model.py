@@ -226,6 +226,21 @@ def model_matrix(
     return ModelMatrix(np.hstack(parts), tuple(order), blocks, layout)
 
 
+def setting_rows(matrix: ModelMatrix, codes: Mapping[str, Ints], terms: Sequence[Term]) -> Array:
+    """Combine the coefficients of some terms of a model at settings of its factors, shape (m, p).
+
+    Factors without ``codes`` (m,) stand at their first level.
+    """
+    first, levels = np.zeros_like(next(iter(codes.values()))), matrix.layout.levels
+    settings = CellLayout(levels, {name: codes.get(name, first) for name in levels})
+    # the full list of terms decides how each factor is coded, so it is coded as in the fit
+    local = model_matrix(settings, matrix.terms[1:])
+    rows = np.zeros((first.size, matrix.columns.shape[1]))
+    for term in terms:
+        rows[:, matrix.of(term)] = local.columns[:, local.of(term)]
+    return rows
+
+
 def nested_in(terms: Sequence[Term]) -> dict[str, tuple[str, ...]]:
     """Factors whose own margin is missing from the model, and the factors they are nested in.
 

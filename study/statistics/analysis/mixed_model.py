@@ -22,7 +22,7 @@ import scipy
 from study.ground.arrays import Array, gathered, one_thread
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
-from study.ground.units import p_phrase, unit_of_column
+from study.ground.units import unit_of_column
 from study.statistics.analysis.analysis_request import (
     Blocking,
     Practical,
@@ -40,19 +40,18 @@ from study.statistics.analysis.effects import (
     Gate,
     Rival,
     Scale,
+    TermEstimate,
     sampled_estimate,
     size,
 )
 from study.statistics.analysis.gate import (
-    COARSE,
     LACK,
-    LACK_OF_FIT,
     any_shape,
     block_means,
     limit_rivals,
+    rival_of_lack,
+    rival_of_rounding,
 )
-from study.statistics.analysis.linear_contrast import Contrast, with_holm
-from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
 from study.statistics.analysis.linear_model import (
     ALIAS_TOLERANCE,
     CellLayout,
@@ -64,6 +63,7 @@ from study.statistics.analysis.linear_model import (
     term_name,
     terms_of,
 )
+from study.statistics.analysis.post_hoc import possible_contrasts, with_holm
 from study.statistics.analysis.restricted_likelihood import (
     MOST_CROSSED,
     Likelihood,
@@ -74,9 +74,9 @@ from study.statistics.analysis.restricted_likelihood import (
 )
 from study.statistics.analysis.simple_effects import (
     NO_DIFFERENCE,
+    Confidence,
     Differences,
     Estimates,
-    SimpleEffects,
 )
 from study.statistics.analysis.sums_of_squares import (
     Factored,
@@ -90,7 +90,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.anova_table import Effect
+    from study.statistics.analysis.anova_table import Contrast, Effect
 
 
 WITHIN = "within"
@@ -241,11 +241,11 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     bare = model_matrix(data.layout, terms)
     shift = float(data.y.mean())
     values = {name: _numbers(table, name, data) for name in covariates}
-    about_mean = {name: x - x.mean() for name, x in values.items()}
+    about_mean: dict[Term, Array] = {(name,): x - x.mean() for name, x in values.items()}
     fixed = factor(_with_columns(bare, about_mean), data.y - shift)
     _check(data, fixed)
     fit = fit_sources(data, fixed, sources)
-    cells = MixedCells(fit, fixed, bare, data.layout, shift, alpha, seed)
+    cells = MixedCells(fit, fixed, bare, shift, Confidence(alpha, seed))
     tests = {s.term: fit.test(s.basis) for s in term_sums(fixed, "III") if s.df}
     limit = threshold(practical, unit_of_column(response))
     difference = on_scale(limit, shift)
@@ -253,35 +253,35 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     scale = Scale("none", difference, None, deterministic=False, specimens=specimens)
     with _determined(sources):
         scatter = components(fit, [*map(term_name, sources), WITHIN], alpha)
-    rivals, notes = _rivals_of_scatter(cells, data, sources) if factors else ([], [])
+    rivals = _rivals_of_scatter(cells, data, sources) if factors else []
     working = ResponseScale(practical=limit)
     has_blocks = bool(factors) and data.block is not None
     means = block_means(data, data.y) if has_blocks else shift + fixed.residual
     rivals += limit_rivals(working, alpha, cells.sample, means)
     refitted = _refitted(cells, data, sources)
-    lack, seen = _lack_of_fit(cells, terms, factors, refitted)
-    notes += seen
+    rivals += _lack_of_fit(cells, terms, factors, refitted)
     for name, x in values.items():
-        of_slopes, seen = _unequal_slopes(cells, name, x, refitted)
-        lack, notes = lack + of_slopes, notes + seen
-    rivals += lack
-    gate = Gate(data.layout, bare, scale, cells.sample, tuple(rivals))
-    p = {term: test.p for term, test in tests.items()}
+        rivals += _unequal_slopes(cells, name, x, refitted)
+    gate = Gate(bare, scale, cells.sample, tuple(rivals))
+    named, faults = possible_contrasts(gate, data, contrasts)
+    if faults:
+        raise InputError(faults)
+    p, judged = {term: test.p for term, test in tests.items()}, gate.judged(terms)
     return MixedModel(
         scatter,
         tuple(MixedTerm(term_name(t), int(s.df), s.f, s.df_error, s.p) for t, s in tests.items()),
         fit.deviance,
         data.y.size,
         tuple(cells.slope(name) for name in covariates),
-        with_holm(cells.effects(terms, p, scale, gate.judged(terms))),
-        contrasts_of(gate, data, contrasts) if contrasts else (),
+        with_holm([size(e, scale, judged) for e in cells.estimates(terms, p)]),
+        named,
         (
             *(
                 f"{inner} {data.layout.levels[inner][0]} is taken as the same {inner} in every "
                 f"{outer}; {_numbered_anew(outer, inner)}"
                 for outer, inner in _recurring_numbers(data.layout, sources)
             ),
-            *notes,
+            *gate.notes,
             *unchecked_unit(practical, response),
         ),
     )
@@ -307,21 +307,22 @@ def _refitted(cells: MixedCells, data: Data, sources: Sequence[Term]) -> Refit:
 
 def _lack_of_fit(
     cells: MixedCells, terms: Sequence[Term], factors: Sequence[str], refit: Refit
-) -> tuple[list[Rival], list[str]]:
+) -> list[Rival]:
     """Rival of all interactions of the factors, where the rows do not rule them out."""
     every = [*terms, *(t for t in terms_of(factors) if t not in terms)] if factors else []
     if len(every) == len(terms) or nested_in(terms):
-        return [], []
-    bare = model_matrix(cells.layout, every)
-    names = [term[0] for term in cells.fixed.matrix.terms[len(cells.factors.terms) :]]
-    columns = cells.fixed.columns[:, cells.factors.columns.shape[1] :].T
-    whole = refit(_with_columns(bare, dict(zip(names, columns, strict=True))), bare)
-    return ([], []) if whole is None else rivals_of_lack(whole, terms)
+        return []
+    bare, matrix = model_matrix(cells.factors.layout, every), cells.fixed.matrix
+    covariates = matrix.terms[len(cells.factors.terms) :]
+    whole = refit(
+        _with_columns(bare, {t: matrix.columns[:, matrix.of(t)] for t in covariates}), bare
+    )
+    return [] if whole is None else rivals_of_lack(whole, terms)
 
 
 def rivals_of_lack(
     whole: MixedCells, declared: Sequence[Term], p_of: Callable[[Array], float] | None = None
-) -> tuple[list[Rival], list[str]]:
+) -> list[Rival]:
     """Rival of the full model, where what the declared one leaves out may not be zero.
 
     ``p_of`` is another test of each term left out.
@@ -330,19 +331,13 @@ def rivals_of_lack(
     named = {t for t in whole.factors.terms if t and t not in declared}
     bases = [s.basis for s in sums if s.term in named and s.df]
     if not bases:
-        return [], []
+        return []
     test = whole.fit.test(np.hstack(bases))
     p = min(test.p, *(len(bases) * p_of(basis) for basis in bases)) if p_of else test.p
-    ratio = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}"
-    note = f"{LACK}: {ratio}, {p_phrase(test.p)} by REML"
-    if p >= DOUBT:
-        return [], [note]
-    return [Rival(f"{LACK_OF_FIT} ({note})", whole.sample, matrix=whole.factors)], [note]
+    return [rival_of_lack(f"{LACK}: {test.words} by REML", p, whole.sample, whole.factors)]
 
 
-def _unequal_slopes(
-    cells: MixedCells, name: str, x: Array, refit: Refit
-) -> tuple[list[Rival], list[str]]:
+def _unequal_slopes(cells: MixedCells, name: str, x: Array, refit: Refit) -> list[Rival]:
     """Rivals where the response follows a covariate with slopes that may differ between cells.
 
     A difference is then judged at the mean of the covariate, and one that is to be small at both
@@ -351,28 +346,20 @@ def _unequal_slopes(
 
     def at(value: float) -> MixedCells | None:
         slopes = cells.factors.columns[:, 1:] * (x - value)[:, None]
-        columns = np.column_stack([cells.fixed.columns, slopes])
-        start = cells.fixed.columns.shape[1]
-        here = cells.fixed.matrix
-        block = slice(start, columns.shape[1])
-        matrix = ModelMatrix(
-            columns,
-            (*here.terms, (name, *map(term_name, cells.factors.terms[1:]))),
-            (*here.blocks, block),
-        )
-        return refit(matrix, cells.factors)
+        term = name, *map(term_name, cells.factors.terms[1:])
+        return refit(_with_columns(cells.fixed.matrix, {term: slopes}), cells.factors)
 
     middle = at(float(x.mean()))
     if middle is None:
-        return [], []
+        return []
     test = middle.fit.test(middle.fixed.space(len(middle.fixed.matrix.terms) - 1, "I").basis)
     if test.p >= DOUBT:
-        return [], []
-    seen = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}, {p_phrase(test.p)}"
-    note = f"slopes of {name} may differ between levels ({seen}): differences are those at its mean"
+        return []
+    which = f"slopes of {name} may differ between levels ({test.words})"
+    note = f"{which}: differences are those at its mean"
     ends = [(value, at(value)) for value in (float(x.min()), float(x.max()))]
-    rivals = [Rival(f"{note}, where its interval does not allow the claim", middle.sample)]
-    rivals += [
+    why = f"{note}, where its interval does not allow the claim"
+    return [Rival(why, middle.sample, note=f"{note} ({x.mean():.4g})")] + [
         Rival(
             f"{note}, and larger ones at {name} = {value:g} are not ruled out",
             end.sample,
@@ -381,7 +368,6 @@ def _unequal_slopes(
         for value, end in ends
         if end is not None
     ]
-    return rivals, [f"{note} ({x.mean():.4g})"]
 
 
 def _recurring_numbers(layout: CellLayout, sources: Sequence[Term]) -> Iterator[tuple[str, str]]:
@@ -402,36 +388,19 @@ def _numbered_anew(outer: str, inner: str) -> str:
     return f"if it is numbered anew in each {outer}, name it {outer}:{inner}"
 
 
-def _rivals_of_scatter(
-    cells: MixedCells, data: Data, sources: Sequence[Term]
-) -> tuple[list[Rival], list[str]]:
+def _rivals_of_scatter(cells: MixedCells, data: Data, sources: Sequence[Term]) -> list[Rival]:
     """Rivals by rounding, the shape of the scatter and how effects differ between blocks."""
     rivals: list[Rival] = []
     if step := structure_of(data).resolution:
-        rivals.append(rival_of_rounding(cells, step / math.sqrt(12)))
+        rivals.append(rival_of_rounding(cells.sample, cells.along, step / math.sqrt(12)))
     if data.y.size > _MOST_ROWS:
-        return rivals, []
+        return rivals
     if not sources:
-        return [*rivals, _unequal_rows(cells, data.y - cells.shift)], []
+        return [*rivals, _unequal_rows(cells)]
     if sources == ((data.block,),):
         block = data.layout.codes[str(data.block)]
-        rivals.append(
-            rival_of_shape(cells, Sandwich(cells.fit, cells.fixed, data.y - cells.shift, block))
-        )
-    of_blocks, notes = rivals_of_unequal_effects(cells, data, data.y - cells.shift, sources)
-    return rivals + of_blocks, notes
-
-
-def rival_of_rounding(cells: MixedCells, reading: float) -> Rival:
-    """Rival whose rows scatter at least by what rounding gives a reading (standard deviation)."""
-
-    def coarse(differences: Differences) -> Estimates:
-        estimates = cells.sample(differences)
-        least = reading * np.linalg.norm(cells.along(differences.rows), axis=1)
-        error = least if estimates.error is None else np.maximum(estimates.error, least)
-        return replace(estimates, error=error)
-
-    return Rival(COARSE, coarse)
+        rivals.append(rival_of_shape(cells, Sandwich(cells.fit, block)))
+    return rivals + rivals_of_unequal_effects(cells, data, sources)
 
 
 def rival_of_shape(cells: MixedCells, sandwich: Sandwich) -> Rival:
@@ -443,13 +412,13 @@ def rival_of_shape(cells: MixedCells, sandwich: Sandwich) -> Rival:
         return parts.T + (along @ cells.fit.moments.beta)[:, None] / len(parts)
 
     blocks = [np.arange(int(sandwich.block.max()) + 1)]
-    y = sandwich.y + cells.shift
-    return any_shape(cells.alpha, cells.seed, cells.sample, of_blocks, blocks, y)
+    y = cells.fit.likelihood.y + cells.shift
+    return any_shape(cells.confidence, cells.sample, of_blocks, blocks, y)
 
 
 def rivals_of_unequal_effects(
-    cells: MixedCells, data: Data, y: Array, sources: Sequence[Term]
-) -> tuple[list[Rival], list[str]]:
+    cells: MixedCells, data: Data, sources: Sequence[Term]
+) -> list[Rival]:
     """Rivals where effects may differ between the levels of a block beyond the rest of the scatter.
 
     A model without these interactions takes them for scatter of single rows, of which there are
@@ -458,7 +427,7 @@ def rivals_of_unequal_effects(
     """
     # what is random counts as fixed: it is no part of what effects differ by
     dummies = model_matrix(data.layout, [], extra=sources).columns[:, 1:]
-    columns = np.column_stack([cells.fixed.columns, dummies])
+    columns, y = np.column_stack([cells.fixed.columns, dummies]), cells.fit.likelihood.y
     terms = [term for term in cells.factors.terms if term and set(term) <= set(data.factors)]
     tests: list[tuple[str, tuple[Term, FRatioTest]]] = []
     for block in (source[0] for source in sources if len(source) == 1):
@@ -466,46 +435,34 @@ def rivals_of_unequal_effects(
         left_out = [term for term in terms if set(term) not in declared]
         seen = [(term, _added(columns, data.layout, (block, *term), y)) for term in left_out]
         tests += [(block, (term, test)) for term, test in seen if test is not None]
-    rivals, notes = [], []
+    rivals = []
     for block, of_block in gathered(tests).items():
         term, test = min(of_block, key=lambda pair: pair[1].p)
         if test.p * len(tests) >= _DIFFERS:
             continue
-        note = (
-            f"{term_name(term)} may differ between the levels of {block} "
-            f"(F({test.df:g}, {test.df_error:g}) = {test.f:.4g}, {p_phrase(test.p)}), which the "
-            "model leaves out"
-        )
-        sandwich = Sandwich(cells.fit, cells.fixed, y, data.layout.codes[block])
-        wide = replace(cells, robust=sandwich.errors)
-        rivals.append(
-            Rival(f"{note}: its scatter over {block} does not allow the claim", wide.sample)
-        )
-        notes.append(note)
-    return rivals, notes
+        which = f"{term_name(term)} may differ between the levels of {block} ({test.words})"
+        note = f"{which}, which the model leaves out"
+        wide = replace(cells, robust=Sandwich(cells.fit, data.layout.codes[block]).errors)
+        why = f"{note}: its scatter over {block} does not allow the claim"
+        rivals.append(Rival(why, wide.sample, note=note))
+    return rivals
 
 
-def rivals_beside_crossing_blocks(
-    out: AnalysisResult, fit: Factored
-) -> tuple[list[Rival], list[str]]:
+def rivals_beside_crossing_blocks(out: AnalysisResult, fit: Factored) -> list[Rival]:
     """Rivals of a model of factors and blocks that cross, by how effects differ between blocks."""
     data, request = out.data, out.request
     if len(data.blocks) < 2 or not fit.df_residual or out.y.size > _MOST_ROWS:
-        return [], []
-    y = out.y - fit.shift
-    rows = fit_restricted(fit.q, y, [])
-    cells = MixedCells(
-        rows, fit, fit.matrix, data.layout, fit.shift, request.alpha, request.interval_seed
-    )
-    rivals, notes = rivals_of_unequal_effects(cells, data, y, [(name,) for name in data.blocks])
+        return []
+    rows = fit_restricted(fit.q, out.y - fit.shift, [])
+    cells = MixedCells(rows, fit, fit.matrix, fit.shift, request.confidence)
+    rivals = rivals_of_unequal_effects(cells, data, [(name,) for name in data.blocks])
     for name, (subject, period) in product(data.factors, permutations(data.blocks, 2)):
         before = _level_before(data.layout, name, subject, period)
         apart = before - fit.q @ (fit.q.T @ before)
         if np.linalg.norm(apart) > ALIAS_TOLERANCE * np.linalg.norm(before) or not before.any():
             continue  # it shows in the scatter within the blocks
-        more, seen = _rivals_of_carry_over(cells, data, y, before, (name, subject, period))
-        rivals, notes = rivals + more, notes + seen
-    return rivals, notes
+        rivals += _rivals_of_carry_over(cells, data, before, (name, subject, period))
+    return rivals
 
 
 def _level_before(layout: CellLayout, name: str, subject: str, period: str) -> Array:
@@ -521,57 +478,55 @@ def _level_before(layout: CellLayout, name: str, subject: str, period: str) -> A
 
 
 def _rivals_of_carry_over(
-    cells: MixedCells, data: Data, y: Array, before: Array, names: tuple[str, str, str]
-) -> tuple[list[Rival], list[str]]:
+    cells: MixedCells, data: Data, before: Array, names: tuple[str, str, str]
+) -> list[Rival]:
     """Rival in which the level before acts on, where subjects tell it alone (Grizzle 1965).
 
     In a crossover of two periods a treatment that still acts in the second is no part of the
     scatter within subjects, but of the difference of the treatments.
     """
-    name, subject, period = names
+    (name, subject, period), y = names, cells.fit.likelihood.y
     terms = [term for term in cells.factors.terms if term and set(term) <= set(data.factors)]
     others = [(block,) for block in data.blocks if block != subject]
     bare = model_matrix(data.layout, terms)
     blocks = model_matrix(data.layout, others).columns[:, 1:]
-    acts_on = {f"{name} before, {i}": column for i, column in enumerate(before.T)}
-    columns = {f"block, {i}": column for i, column in enumerate(blocks.T)} | acts_on
-    fixed = factor(_with_columns(bare, columns), y)
+    more: dict[Term, Array] = {("blocks",): blocks, (f"{name} before",): before}
+    fixed = factor(_with_columns(bare, more), y)
     try:
         fit = fit_restricted(fixed.q, y, [data.layout.codes[subject]])
     except SingularError:
-        return [], []
-    last = range(len(fixed.matrix.terms) - len(acts_on), len(fixed.matrix.terms))
-    basis = np.hstack([fixed.space(i, "I").basis for i in last])
+        return []
+    basis = fixed.space(len(fixed.matrix.terms) - 1, "I").basis
     if not fixed.is_full or (test := fit.test(basis)).p >= DOUBT:
-        return [], []
-    seen = f"F({test.df:g}, {test.df_error:.4g}) = {test.f:.4g}, {p_phrase(test.p)}"
-    note = f"{name} of the {period} before may act on in the next ({seen}, between {subject}s)"
+        return []
+    seen = f"{test.words}, between {subject}s"
+    note = f"{name} of the {period} before may act on in the next ({seen})"
     with_carry_over = replace(cells, fit=fit, fixed=fixed, factors=bare, robust=None)
     why = f"{note}: without what it carries over the interval does not allow the claim"
-    return [Rival(why, with_carry_over.sample, matrix=bare)], [note]
+    return [Rival(why, with_carry_over.sample, matrix=bare, note=note)]
 
 
 def _added(columns: Array, layout: CellLayout, term: Term, y: Array) -> FRatioTest | None:
     """Test what a term adds to other columns (n, p) of rows y (n,); None where nothing is left."""
-    product = model_matrix(layout, [term]).columns
-    every, k = np.column_stack([columns, product]), columns.shape[1]
-    if every.shape[1] > _MOST_COLUMNS:
+    matrix = ModelMatrix(columns, ((),), (slice(0, columns.shape[1]),))
+    every = _with_columns(matrix, {term: model_matrix(layout, [term]).columns})
+    if every.columns.shape[1] > _MOST_COLUMNS:
         return None
-    without = factor(ModelMatrix(columns, ((),), (slice(0, k),)), y)
-    whole = factor(ModelMatrix(every, ((), term), (slice(0, k), slice(k, every.shape[1]))), y)
+    without, whole = factor(matrix, y), factor(every, y)
     df = without.df_residual - whole.df_residual
     return extra_sum(without.rss - whole.rss, df, whole.rss, whole.df_residual)
 
 
-def _unequal_rows(cells: MixedCells, y: Array) -> Rival:
+def _unequal_rows(cells: MixedCells) -> Rival:
     """Rival without random factors, whose rows may scatter unequally (CR2 of single rows, HC2)."""
-    sandwich = Sandwich(cells.fit, cells.fixed, y, np.arange(y.size))
+    sandwich = Sandwich(cells.fit, np.arange(cells.fit.likelihood.y.size))
 
     def estimate(differences: Differences) -> Estimates:
         estimates = cells.sample(differences)
         error, df = sandwich.errors(cells.along(differences.rows))
-        every = t_quantile(cells.alpha / (2 * max(len(df), 1)), df)
-        return Estimates(estimates.value, error, t_quantile(cells.alpha / 2, df), every)
+        alpha = cells.confidence.alpha
+        every = t_quantile(alpha / (2 * max(len(df), 1)), df)
+        return Estimates(estimates.value, error, t_quantile(alpha / 2, df), every)
 
     return Rival(UNEQUAL, estimate)
 
@@ -659,12 +614,9 @@ class MixedCells:
     fixed: Factored
     #: Columns of the factors alone, without covariates.
     factors: ModelMatrix
-    layout: CellLayout
     #: What was taken off the response.
     shift: float
-    #: Of the intervals, and of simulated multipliers.
-    alpha: float
-    seed: int | None
+    confidence: Confidence
     #: Standard errors and df of combinations that do not rest on the model's variances: intervals
     #: reach as far as both tell.
     robust: Callable[[Array], tuple[Array, Array]] | None = None
@@ -690,58 +642,48 @@ class MixedCells:
         """Differences of settings with the multipliers of their intervals."""
         settings = self.along(differences.settings)
         rows = differences.of(settings)
-        estimates = self.fit.estimate(rows)
-        ok = self.fixed.estimable(self._padded(differences.rows)) & (estimates.error > 0)
-        value = np.where(ok, estimates.value, np.nan)
-        single = t_quantile(self.alpha / 2, estimates.df)
+        value, error, df = self.fit.estimate(rows)
+        ok = self.fixed.estimable(self._padded(differences.rows)) & (error > 0)
+        value, alpha = np.where(ok, value, np.nan), self.confidence.alpha
+        single = t_quantile(alpha / 2, df)
         if not ok.any():
-            return Estimates(value, estimates.error, single, single)
+            return Estimates(value, error, single, single)
         some = replace(differences.take(ok), settings=settings @ self._root)
-        df = float(estimates.df[ok].min())  # the least sure contrast decides for all
-        wide = pooled_multiplier(some, estimates.error[ok], df, self.alpha, self.seed)
-        every = np.full(value.size, wide)
+        least = float(df[ok].min())  # the least sure contrast decides for all
+        wide = pooled_multiplier(some, error[ok], least, self.confidence)
         if self.robust is None:
-            return Estimates(value, estimates.error, single, every, estimates.df)
-        error, df_own = self.robust(rows)
-        own_single = t_quantile(self.alpha / 2, df_own)
+            return Estimates(value, error, single, wide, df)
+        own_error, own_df = self.robust(rows)
+        own_single = t_quantile(alpha / 2, own_df)
         # at the error probability that each interval has among all of them
-        own_every = t_quantile(float(scipy.special.stdtr(df, -wide)), df_own)
-        every = np.maximum(every * estimates.error, own_every * error)
-        is_wider = ok & (own_single * error > single * estimates.error)
-        error = np.where(is_wider, error, estimates.error)
-        single = np.where(is_wider, own_single, single)
+        own_every = t_quantile(float(scipy.special.stdtr(least, -wide)), own_df)
+        every = np.maximum(wide * error, own_every * own_error)
+        is_wider = ok & (own_single * own_error > single * error)
+        error, single, df = np.where(is_wider, (own_error, own_single, own_df), (error, single, df))
         every = np.divide(every, error, out=np.zeros_like(error), where=ok)
-        return Estimates(value, error, single, every, np.where(is_wider, df_own, estimates.df))
+        return Estimates(value, error, single, every, df)
 
-    def effects(
-        self,
-        terms: Sequence[Term],
-        p: dict[Term, float],
-        scale: Scale,
-        simple: Mapping[str, SimpleEffects],
-    ) -> tuple[Effect, ...]:
-        """Effects of the terms with the verdicts of their simple effects."""
+    def estimates(self, terms: Sequence[Term], p: dict[Term, float]) -> list[TermEstimate]:
+        """Estimates of the terms with their p."""
         fit = replace(self.of_factors, shift=self.shift)
-        return tuple(
-            size(sampled_estimate(self.layout, fit, term, p.get(term), self.sample), scale, simple)
-            for term in terms
-        )
+        return [sampled_estimate(fit, t, p.get(t), self.sample) for t in terms]
 
     def slope(self, covariate: str) -> Slope:
         """Slope of a covariate with its interval."""
         at = self.fixed.matrix.of((covariate,)).start
         estimate = self.fit.estimate(self.fixed.inverse[at : at + 1])
-        value = float(estimate.value[0])
-        half = t_quantile(self.alpha / 2, float(estimate.df[0])) * float(estimate.error[0])
+        value, error, df = (float(part[0]) for part in estimate)
+        half = t_quantile(self.confidence.alpha / 2, df) * error
         return Slope(covariate, value, value - half, value + half)
 
 
-def _with_columns(matrix: ModelMatrix, values: Mapping[str, Array]) -> ModelMatrix:
-    """Append a column (n,) of numbers for every covariate."""
-    columns = np.column_stack([matrix.columns, *values.values()])
-    places = (slice(k, k + 1) for k in range(matrix.columns.shape[1], columns.shape[1]))
-    terms = (*matrix.terms, *((name,) for name in values))
-    return ModelMatrix(columns, terms, (*matrix.blocks, *places))
+def _with_columns(matrix: ModelMatrix, values: Mapping[Term, Array]) -> ModelMatrix:
+    """Append the columns of other terms, (n,) or (n, k) each."""
+    columns, blocks = matrix.columns, matrix.blocks
+    for added in values.values():
+        start, columns = columns.shape[1], np.column_stack([columns, added])
+        blocks = (*blocks, slice(start, columns.shape[1]))
+    return ModelMatrix(columns, (*matrix.terms, *values), blocks)
 
 
 def _numbers(table: pd.DataFrame, name: str, data: Data) -> Array:

@@ -313,15 +313,14 @@ FEW_BLOCKS = 9
 _LEAST_DF = 3
 #: two contrasts of this correlation are one
 _DUPLICATE = 1 - 1e-9
-#: contrasts whose correlations with all others are held at once
-_AT_ONCE = 1000
 #: numbers simulated at once for the share of a block: 4 MB
 _NUMBERS_AT_ONCE = 500_000
 #: numbers simulated at most: 2,000 studies of 25,000 numbers, fewer of larger ones
 _MOST_NUMBERS = 50_000_000
 #: normals drawn at most with the rows themselves as root, blocks by blocks a study: 224 blocks
 _MOST_NORMALS = 100_000_000
-#: studies simulated at least: a p of .05 then has a standard error of .01
+#: studies simulated at most, and at least: a p of .05 then has a standard error of .01
+_MOST_DRAWS = 2000
 _FEWEST_DRAWS = 500
 
 
@@ -416,7 +415,7 @@ def row_normality(
 
 
 def block_share(
-    contrasts: Mapping[str, Array], *, tolerance: float = 0.0, draws: int = 2000, seed: int = 2011
+    contrasts: Mapping[str, Array], *, tolerance: float = 0.0, seed: int = 2011
 ) -> BlockShare | None:
     """Find the block that carries the most of the interaction with the blocks."""
     _, rows = _rows(contrasts, tolerance)
@@ -426,9 +425,8 @@ def block_share(
     basis = _mean_basis(blocks)
     share = _shares(rows)
     root = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-    fewer = max(_MOST_NUMBERS // rows.size, _FEWEST_DRAWS)
-    if fewer < draws or draws * blocks**2 > _MOST_NORMALS:
-        draws = min(draws, fewer)
+    draws = min(_MOST_DRAWS, max(_MOST_NUMBERS // rows.size, _FEWEST_DRAWS))
+    if draws < _MOST_DRAWS or _MOST_DRAWS * blocks**2 > _MOST_NORMALS:
         # the smallest root of the same covariance: its normals take the longest
         root = np.asarray(np.linalg.qr(root.T, mode="r")).T
     top, above = float(share.max()), 0
@@ -461,22 +459,12 @@ def _rows(contrasts: Mapping[str, Array], tolerance: float) -> tuple[list[tuple[
     if not varying:
         return names, np.zeros((0, 0))
     rows = np.array(varying)
-    once = _once(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+    heads, once = np.empty_like(rows), list[int]()
+    for i, unit in enumerate(rows / np.linalg.norm(rows, axis=1, keepdims=True)):
+        if not (np.abs(heads[: len(once)] @ unit) > _DUPLICATE).any():
+            heads[len(once)] = unit
+            once.append(i)
     return [names[i] for i in once], rows[once]
-
-
-def _once(units: Array) -> list[int]:
-    """Rows that copy no earlier kept row."""
-    alike: dict[int, list[int]] = {}
-    for start in range(0, len(units), _AT_ONCE):
-        same = np.abs(units[start : start + _AT_ONCE] @ units.T) > _DUPLICATE
-        for i, j in np.argwhere(np.tril(same, start - 1)):
-            alike.setdefault(start + int(i), []).append(int(j))
-    dropped: set[int] = set()
-    for row in sorted(alike):
-        if not dropped.issuperset(alike[row]):
-            dropped.add(row)
-    return [i for i in range(len(units)) if i not in dropped]
 
 
 def _mean_basis(blocks: int) -> Array:

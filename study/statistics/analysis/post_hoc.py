@@ -1,7 +1,8 @@
-"""Table of regression coefficients, with the standard error that the error term gives.
+"""What is asked of a finished analysis: coefficients, comparisons of levels, named contrasts, rows.
 
-Factors have sum-to-zero contrasts (Minitab's ``-1, 0, +1``): the coefficient of a level is how
-far its mean lies from the mean of all, and the last level is minus the sum of the others.
+The table of regression coefficients has the standard error that the error term gives. Factors have
+sum-to-zero contrasts (Minitab's ``-1, 0, +1``): the coefficient of a level is how far its mean
+lies from the mean of all, and the last level is minus the sum of the others.
 """
 
 from __future__ import annotations
@@ -10,29 +11,49 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress, product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-import pandas as pd
 
 from study.ground.arrays import Array, Ints
+from study.ground.contrast import Setting, sides_of
 from study.ground.errors import Fault, InputError, nearest
-from study.statistics.analysis.anova_table import Comparison, Effect, Row
+from study.statistics.analysis.anova_table import Comparison, Contrast, Effect, Row
 from study.statistics.analysis.comparisons import (
     Comparisons,
     block_multiplier,
+    holm,
     studentized_range_cdf,
     t_quantile,
     two_sided,
 )
-from study.statistics.analysis.data import Crossed
-from study.statistics.analysis.effects import critical, group_errors, term_rows
-from study.statistics.analysis.linear_contrast import Contrast, possible_contrasts
-from study.statistics.analysis.linear_model import Term, nested_in, terms_of
-from study.statistics.analysis.strata import cell_fit
+from study.statistics.analysis.data import Crossed, Data
+from study.statistics.analysis.effects import Gate, Scale, critical, group_errors, term_rows
+from study.statistics.analysis.gate import cell_fit
+from study.statistics.analysis.linear_model import (
+    CellLayout,
+    ModelMatrix,
+    Term,
+    nested_in,
+    setting_rows,
+    terms_of,
+)
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    CLAIMS,
+    NOT_RESOLVED,
+    ONE_SPECIMEN,
+    UNBOUNDED,
+    Confidence,
+    Differences,
+    Estimates,
+    verdict_of,
+)
 from study.statistics.analysis.sums_of_squares import EXACT, Factored
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from study.statistics.analysis.analysis_result import AnalysisResult
 
 
@@ -149,8 +170,8 @@ def _of_model(
     Other factors and blocks are taken out of the error; the distribution of the largest absolute t
     is simulated.
     """
-    layout, request = fit.matrix.layout, analysis.request
-    names, rows, *_ = term_rows(layout, fit, (factor,))
+    request = analysis.request
+    names, rows, *_ = term_rows(fit, (factor,))
     at = names.index(reference)
     differences = np.delete(rows, at, axis=0) - rows[at]
     if not fit.estimable(differences).all():
@@ -199,8 +220,7 @@ def dunnett_over_groups(
     reference: str,
     groups: Sequence[Ints],
     method: str,
-    alpha: float,
-    seed: int,
+    confidence: Confidence,
 ) -> Comparisons:
     """Compare levels with one of them, each difference with an error of its own.
 
@@ -214,7 +234,7 @@ def dunnett_over_groups(
     centre = parts.sum(axis=1)
 
     def half(level: float) -> Array:
-        return block_multiplier(parts, level, seed, groups, df) * error
+        return block_multiplier(parts, groups, df, confidence._replace(alpha=level)) * error
 
     def p(i: int) -> float:
         """Level at which the simultaneous interval of one difference touches zero."""
@@ -226,6 +246,7 @@ def dunnett_over_groups(
         return math.exp(high)
 
     p_of_all = [p(i) for i in range(len(names))]
+    alpha = confidence.alpha
     return _against(reference, names, centre, half(alpha), p_of_all, method, alpha)
 
 
@@ -356,7 +377,7 @@ def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Compar
 
 def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Comparisons:
     """Compare levels by their rows, or by their means in each block, on the analyzed scale."""
-    alpha, seed = analysis.request.alpha, analysis.request.seed
+    confidence = Confidence(analysis.request.alpha, analysis.request.seed)
     rows = analysis.residuals
     if analysis.request.scale.is_log:
         rows = rows.assign(response=np.log(rows["response"]))
@@ -367,7 +388,7 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
             raise InputError(Fault("blocks", rule, "leave incomplete levels out"))
         values = {str(name): means[name].to_numpy() / len(means) for name in means.columns}
         blocks = [np.arange(len(means))]
-        return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", alpha, seed)
+        return dunnett_over_groups(values, reference, blocks, "Dunnett over blocks", confidence)
     if analysis.request.error != "welch":
         model = analysis.model
         if model is not None and model.df_residual:  # of the means of a nested factor's levels
@@ -381,7 +402,186 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
     for cell in cells:  # a level is the mean of the means of its cells
         share[cell] = 1 / cell.size / sum(level[other[0]] == level[cell[0]] for other in cells)
     values = {name: (y - y[0]) * share * (level == name) for name in dict.fromkeys(level)}
-    return dunnett_over_groups(values, reference, cells, "Dunnett by Welch", alpha, seed)
+    return dunnett_over_groups(values, reference, cells, "Dunnett by Welch", confidence)
+
+
+# -------------------------------------------------------------------------------------------------
+# Contrasts that the analyst names: one set of cells against another.
+#
+# "material=ogden-1, range=60 % - material=neo-hookean, range=60 %" is the mean over all cells of
+# the first kind less that of the second; a factor that a side leaves out is averaged over.
+
+
+HolmTest = TypeVar("HolmTest", Effect, Contrast)
+
+
+def with_holm(tests: Sequence[HolmTest]) -> tuple[HolmTest, ...]:
+    """Adjust the p of all that have one together (Holm 1979, Scand. J. Statist. 6, 65)."""
+    adjusted = iter(holm([test.p for test in tests if test.p is not None]).tolist())
+    return tuple(test if test.p is None else replace(test, p_holm=next(adjusted)) for test in tests)
+
+
+def cells_with_rows(gate: Gate, data: Data) -> CellLayout:
+    """Levels of the cells that hold rows, without levels that the analysis left out."""
+    first = np.unique(data.cell, return_index=True)[1]
+    levels = {name: gate.matrix.layout.levels[name] for name in data.factors}
+    codes = {}
+    for name, its_levels in levels.items():
+        index = [its_levels.index(a) if a in its_levels else -1 for a in data.layout.levels[name]]
+        codes[name] = np.array(index)[data.layout.codes[name][first]]
+    cells = CellLayout(levels, codes)
+    return cells.take(np.flatnonzero(np.all([code >= 0 for code in codes.values()], axis=0)))
+
+
+def possible_contrasts(
+    gate: Gate, data: Data, texts: Sequence[str]
+) -> tuple[tuple[Contrast, ...], list[Fault]]:
+    """Estimate those differences of sets of cells that can be, and say what keeps the others."""
+    possible: list[_Sides] = []
+    cells = cells_with_rows(gate, data)
+    faults: list[Fault] = []
+    for text in texts:
+        try:
+            possible.append(_sides(text, cells))
+        except InputError as error:
+            faults += error.faults
+    if not possible:
+        return (), faults
+    estimates = gate.sample(_differences(gate.matrix, possible))
+    lost = np.isnan(estimates.value)
+    if lost.any():
+        rule = "needs cells without rows"
+        faults += [Fault(f"contrast {s.text!r}", rule) for s in compress(possible, lost)]
+        if lost.all():
+            return (), faults
+        possible = list(compress(possible, ~lost))
+        estimates = gate.sample(_differences(gate.matrix, possible))
+    judged = _withdrawn(gate, possible, _judged(gate, possible, estimates))
+    return with_holm(judged), faults
+
+
+@dataclass(frozen=True)
+class _Sides:
+    """The cells of both sides of a contrast."""
+
+    text: str
+    settings: tuple[Setting, Setting]
+    cells: tuple[CellLayout, CellLayout]
+    #: Over which settings a factor is averaged where cells are empty.
+    averaged: str
+    #: Whether both sides name every factor.
+    is_of_cells: bool
+
+    def bound(self, scale: Scale) -> float | None:
+        """Bound of the numerical error of the contrast, on the scale of the analysis."""
+        return 0.0 if scale.bound is None else scale.bound.of(*map(dict, self.settings))
+
+
+def _sides(text: str, cells: CellLayout) -> _Sides:
+    """Find the cells of a contrast, each side averaged over settings that both of them have."""
+    settings = sides_of(text, cells.levels)
+    holds = [
+        np.all([cells.codes[n] == cells.levels[n].index(a) for n, a in setting.items()], axis=0)
+        for setting in settings
+    ]
+    for setting, side in zip(settings, holds, strict=True):
+        if not side.any():
+            named = ", ".join(f"{name}={level}" for name, level in setting.items())
+            raise InputError(Fault(f"contrast {text!r}", f"no row has {named}"))
+    others = [name for name in cells.levels if name not in settings[0]]
+    averaged = ""
+    if set(settings[0]) == set(settings[1]) and others:
+        at = cells.cell(others)
+        both = np.intersect1d(at[holds[0]], at[holds[1]])
+        every = np.union1d(at[holds[0]], at[holds[1]]).size
+        if not both.size:
+            rule = f"its sides have no setting of {', '.join(others)} in common"
+            raise InputError(Fault(f"contrast {text!r}", rule))
+        if both.size < every:
+            averaged = f"over the {both.size} of {every} settings of {', '.join(others)} with both"
+            holds = [side & np.isin(at, both) for side in holds]
+    first, second = (cells.take(np.flatnonzero(side)) for side in holds)
+    is_of_cells = all(len(setting) == len(cells.levels) for setting in settings)
+    return _Sides(text, settings, (first, second), averaged, is_of_cells)
+
+
+def _differences(matrix: ModelMatrix, contrasted: Sequence[_Sides]) -> Differences:
+    """Combine the coefficients of a model to the two means of each contrast."""
+    settings = np.zeros((2 * len(contrasted), matrix.columns.shape[1]))
+    for i, cells in enumerate(side for sides in contrasted for side in sides.cells):
+        terms = [term for term in matrix.terms if set(term) <= cells.levels.keys()]
+        settings[i] = setting_rows(matrix, cells.codes, terms).mean(axis=0)
+    first = np.arange(0, len(settings), 2)
+    return Differences(settings, first, first + 1)
+
+
+def _judged(gate: Gate, contrasted: Sequence[_Sides], estimates: Estimates) -> list[Contrast]:
+    """Judge contrasts by the printed analysis alone."""
+    scale, listed = gate.scale, []
+    verdicts = _verdicts(scale, contrasted, estimates)
+    each = zip(contrasted, verdicts, estimates.intervals(), strict=True)
+    for i, (sides, (verdict, why), (value, ci, wide)) in enumerate(each):
+        u = sides.bound(scale)
+        shown = None if u is None or scale.bound is None else u / scale.unit
+        contrast = Contrast(
+            sides.text, scale.back(value), None, None, None, None, shown, verdict, why
+        )
+        if estimates.error is not None:
+            error, df = float(estimates.error[i]), None
+            if estimates.df is not None:
+                df = float(np.broadcast_to(estimates.df, estimates.value.shape)[i])
+            contrast = replace(
+                contrast,
+                ci=scale.ends(ci),
+                ci_simultaneous=scale.ends(wide),
+                df=df,
+                p=two_sided(value / error, df) if error and df is not None else None,
+                why="; ".join(filter(None, (why, sides.averaged))),
+            )
+        listed.append(contrast)
+    return listed
+
+
+def _withdrawn(gate: Gate, contrasted: Sequence[_Sides], printed: list[Contrast]) -> list[Contrast]:
+    """Withdraw claims that an analysis as defensible as the printed one does not make."""
+    contrasts = [
+        replace(c, verdict=CANNOT_TELL, why=gate.undecided)
+        if gate.undecided and c.verdict in CLAIMS and not sides.is_of_cells
+        else c
+        for c, sides in zip(printed, contrasted, strict=True)
+    ]
+    for rival in gate.rivals:
+        if not {c.verdict for c in contrasts} & set(CLAIMS) & set(rival.claims):
+            continue
+        scale = replace(gate.scale, practical=rival.practical or gate.scale.practical)
+        estimates = rival.sample(_differences(rival.matrix or gate.matrix, contrasted))
+        for i, (verdict, _) in enumerate(_verdicts(scale, contrasted, estimates)):
+            if contrasts[i].verdict in rival.claims and contrasts[i].verdict != verdict:
+                contrasts[i] = replace(contrasts[i], verdict=CANNOT_TELL, why=rival.why)
+    return contrasts
+
+
+def _verdicts(
+    scale: Scale, contrasted: Sequence[_Sides], estimates: Estimates
+) -> list[tuple[str, str]]:
+    """Verdict of each contrast, and why it is none where the interval alone does not show that."""
+    reasons = {
+        "nothing scatters, so there is no interval": estimates.error is None,
+        "no practical threshold was given": scale.practical is None,
+        ONE_SPECIMEN: scale.specimens == 1,
+    }
+    if why := next(compress(reasons, reasons.values()), ""):
+        return [(CANNOT_TELL, why)] * len(contrasted)
+    verdicts = []
+    for sides, (_, ci, wide) in zip(contrasted, estimates.intervals(), strict=True):
+        u = sides.bound(scale)
+        verdict, why = verdict_of(ci, wide, u, scale.practical), ""
+        if verdict == NOT_RESOLVED and u is None:
+            why = UNBOUNDED
+        elif verdict in CLAIMS and scale.specimens == 2:
+            why = "2 specimens"
+        verdicts.append((verdict, why))
+    return verdicts
 
 
 def named_contrasts(

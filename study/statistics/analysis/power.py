@@ -3,55 +3,45 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.ground.errors import Fault, InputError
 from study.ground.noncentral_f import noncentral_f_sf
-from study.statistics.analysis.anova_table import Row
+from study.statistics.analysis.anova_table import PowerRow
 from study.statistics.analysis.comparisons import scale_rule
 
-
-@dataclass(frozen=True)
-class PowerRow:
-    """Detectable difference of two level means with ``n`` blocks or replicates."""
-
-    n: int
-    detectable: float
-    df: tuple[int, int]
-    cost: float | None = None
+if TYPE_CHECKING:
+    from study.statistics.analysis.analysis_result import AnalysisResult
 
 
-def planned(
-    terms: Mapping[str, tuple[Row, int]],
-    n: int,
-    cells: int,
-    *,
-    blocked: bool,
-    alpha: float,
-    ratio: bool = False,
-) -> dict[str, tuple[PowerRow, ...]]:
-    """Tell what other numbers of blocks, or of replicates in a cell, would find.
+def planned(out: AnalysisResult) -> dict[str, tuple[PowerRow, ...]]:
+    """Tell what other numbers of blocks, or of replicates in a cell, would find, by factor.
 
-    Notes
-    -----
-    Each level is a mean over ``cells / levels`` cells, so its error variance in one block is
-    the error mean square over that number.
+    Each level is a mean over ``cells / levels`` cells, so its error variance in one block is the
+    error mean square over that number.
     """
+    number = np.bincount(out.data.cell)
+    number, blocked = number[number > 0], out.crossed is not None
+    if out.replicates == "noise":
+        return {}  # more resamples show no smaller effect: the noise of the curve is what it is
+    if not (blocked or (out.error_term.source in ("E0", "E3") and number.min() >= 2)):
+        return {}
+    n = round(float(number.mean())) if out.crossed is None else len(out.crossed.blocks)
     counts = sorted({max(2, math.ceil(n / 2)), n, 2 * n, 4 * n} - {1})
-    by_factor = {}
-    for name, (row, levels) in terms.items():
+    by_factor, cells = {}, number.size
+    for name in (f for f in out.data.factors if (f,) in out.terms):
+        row, levels = out.anova.row(name), len(out.data.layout.levels[name])
         if row.f is None or not row.f > 0 or row.ms is None:
             continue
-        each = cells / levels
-        sd = math.sqrt(row.ms / row.f / each)
-        rows = []
+        sd, rows = math.sqrt(row.ms / row.f / (cells / levels)), []
         for count in counts:
             df2 = (levels - 1) * (count - 1) if blocked else cells * (count - 1)
-            size = detectable(sd, count, (levels - 1, df2), alpha, 0.8)
-            value = math.exp(size) if ratio else size
+            size = detectable(sd, count, (levels - 1, df2), out.request.alpha, 0.8)
+            value = math.exp(size) if out.request.scale.is_log else size
             rows.append(PowerRow(count, value, (levels - 1, df2)))
         by_factor[name] = tuple(rows)
     return by_factor

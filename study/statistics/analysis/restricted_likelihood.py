@@ -23,7 +23,7 @@ import scipy
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import RefusedError
-from study.statistics.analysis.sums_of_squares import Factored, FRatioTest
+from study.statistics.analysis.sums_of_squares import FRatioTest
 
 #: Ratio of a variance to that of the residual at which derivatives are taken where it is zero:
 #: far below every other rounding, and a square root of it is still a number.
@@ -456,15 +456,6 @@ class Likelihood:
 
 
 @dataclass(frozen=True)
-class Estimated:
-    """Combinations of fixed effects: value, Kenward and Roger's standard error and df."""
-
-    value: Array
-    error: Array
-    df: Array
-
-
-@dataclass(frozen=True)
 class RestrictedFit:
     """A mixed model at its largest restricted likelihood."""
 
@@ -498,8 +489,8 @@ class RestrictedFit:
         adjusted = m.f + 2 * m.f @ inner @ m.f
         return np.asarray(0.5 * (adjusted + adjusted.T) * self.v[-1])
 
-    def estimate(self, rows: Array) -> Estimated:
-        """Estimate ``rows`` @ beta, rows of shape (k, r), each with its own degrees of freedom."""
+    def estimate(self, rows: Array) -> tuple[Array, Array, Array]:
+        """Estimate ``rows`` @ beta, rows (k, r): values, standard errors and their own df, (k,)."""
         m = self.moments
         lever = rows @ m.f
         plain = np.einsum("ka,ka->k", lever, rows)
@@ -507,7 +498,7 @@ class RestrictedFit:
         below = np.einsum("ki,ij,kj->k", slope, self._spread, slope)
         df = np.divide(2 * plain**2, below, out=np.full(len(rows), np.nan), where=below > 0)
         square = np.einsum("ka,ab,kb->k", rows, self.adjusted, rows, optimize=True)
-        return Estimated(rows @ m.beta, np.sqrt(np.maximum(square, 0.0)), df)
+        return rows @ m.beta, np.sqrt(np.maximum(square, 0.0)), df
 
     def test(self, basis: Array) -> FRatioTest:
         """Scaled F test of the directions ``basis``, shape (r, l), against zero."""
@@ -520,8 +511,7 @@ class RestrictedFit:
         scaling, df = _scaling(a1, a2, count)
         value = basis.T @ m.beta
         wald = float(value @ np.linalg.solve(basis.T @ self.adjusted @ basis, value)) / count
-        f = scaling * wald
-        return FRatioTest(f, float(count), df, float(scipy.special.fdtrc(count, df, f)))
+        return FRatioTest.of(scaling * wald, count, df)
 
     def interval(self, which: int, alpha: float) -> tuple[float, float]:
         """Interval of a standard deviation by the profile of the restricted likelihood."""
@@ -581,8 +571,6 @@ class Sandwich:
     """Variances of combinations of fixed effects by their scatter over independent blocks."""
 
     fit: RestrictedFit
-    fixed: Factored
-    y: Array
     block: Ints
 
     def errors(self, rows: Array) -> tuple[Array, Array]:
@@ -609,7 +597,7 @@ class Sandwich:
     @cached_property
     def _blocks(self) -> list[tuple[Ints, Array, Array]]:
         """Rows (n_k,) of each block, CR2's weights (n_k, p), and these times the covariance."""
-        x, phi, v = self.fixed.q, self.fit.covariance, self.fit.v
+        x, phi, v = self.fit.likelihood.x, self.fit.covariance, self.fit.v
         weighted = []
         for k in range(int(self.block.max()) + 1):
             here = np.flatnonzero(self.block == k)
@@ -627,8 +615,8 @@ class Sandwich:
 
     def parts(self, rows: Array) -> tuple[Array, Array]:
         """Find what each block adds, squared, to the variances; and their degrees of freedom."""
-        x, phi, blocks = self.fixed.q, self.fit.covariance, len(self._blocks)
-        residual = self.y - x @ self.fit.moments.beta
+        x, phi, blocks = self.fit.likelihood.x, self.fit.covariance, len(self._blocks)
+        residual = self.fit.likelihood.y - x @ self.fit.moments.beta
         root = np.linalg.cholesky(phi)
         lever = phi @ rows.T
         parts = np.zeros((blocks, len(rows)))

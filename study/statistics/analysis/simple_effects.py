@@ -10,7 +10,7 @@ simultaneous intervals.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import TYPE_CHECKING, NamedTuple
@@ -20,7 +20,7 @@ import numpy as np
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import StudyError
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
-from study.statistics.analysis.linear_model import CellLayout, ModelMatrix, Term, model_matrix
+from study.statistics.analysis.linear_model import ModelMatrix, Term, setting_rows
 from study.statistics.convergence.contrast_bound import NumericalBound
 
 if TYPE_CHECKING:
@@ -108,6 +108,19 @@ def resolution(needed: float) -> str:
 MOST = 20_000
 
 
+Interval = tuple[float, float]
+
+
+class Confidence(NamedTuple):
+    """Error probability of intervals, and seed of the multipliers of simultaneous ones.
+
+    Without a seed these are Bonferroni's, which are made at once and never narrower.
+    """
+
+    alpha: float
+    seed: int | None = None
+
+
 @dataclass(frozen=True)
 class Estimates:
     """Contrasts with what their intervals need."""
@@ -121,6 +134,16 @@ class Estimates:
     simultaneous: float | Array = 0.0
     #: Degrees of freedom of Student's t; None of another distribution.
     df: float | Array | None = None
+
+    def intervals(self) -> Iterator[tuple[float, Interval, Interval]]:
+        """Value of each contrast, its interval alone, and that of all of them together.
+
+        Where nothing scatters all ends are the value.
+        """
+        error = np.zeros_like(self.value) if self.error is None else self.error
+        halves = (error * self.single).tolist(), (error * self.simultaneous).tolist()
+        for value, alone, every in zip(self.value.tolist(), *halves, strict=True):
+            yield value, (value - alone, value + alone), (value - every, value + every)
 
 
 @dataclass(frozen=True)
@@ -210,7 +233,6 @@ Sample = Callable[[Differences], Estimates]
 class SimpleEffects:
     """All simple effects of one factor and what they say together."""
 
-    factor: str
     #: *matters* at some setting, *no practical difference* at any, or a refusal.
     verdict: str
     why: str
@@ -238,7 +260,6 @@ def partners(factor: str, terms: Sequence[Term]) -> tuple[str, ...]:
 
 def simple_effects(
     factor: str,
-    layout: CellLayout,
     matrix: ModelMatrix,
     sample: Sample,
     practical: float | None,
@@ -246,32 +267,27 @@ def simple_effects(
     only: Mapping[str, str] | None = None,
 ) -> SimpleEffects | None:
     """Judge a factor at every setting of the factors that it interacts with."""
-    others = partners(factor, matrix.terms)
+    others, levels_of, only = partners(factor, matrix.terms), matrix.layout.levels, only or {}
     choices = [
-        [only[name]] if only and only.get(name) in layout.levels[name] else layout.levels[name]
-        for name in others
+        [only[name]] if only.get(name) in levels_of[name] else levels_of[name] for name in others
     ]
-    indices = [map(layout.levels[n].index, c) for n, c in zip(others, choices, strict=True)]
-    settings = list(product(*indices))
-    pairs = list(combinations(range(len(layout.levels[factor])), 2))
+    indices = [map(levels_of[n].index, c) for n, c in zip(others, choices, strict=True)]
+    settings, levels = list(product(*indices)), levels_of[factor]
+    pairs = list(combinations(range(len(levels)), 2))
     if not pairs or len(settings) * len(pairs) > MOST:
         return None
-    columns = columns_at(factor, layout, matrix, others, settings)
-    start = np.arange(len(settings)) * len(layout.levels[factor])
+    columns = columns_at(factor, matrix, others, settings)
+    start = np.arange(len(settings)) * len(levels)
     first, second = (np.concatenate([start + pair[side] for pair in pairs]) for side in (0, 1))
     estimates = sample(Differences(columns, first, second))
-    levels, has_error = layout.levels[factor], estimates.error is not None
-    error = np.zeros_like(estimates.value) if estimates.error is None else estimates.error
-    alone, every = (error * estimates.single).tolist(), (error * estimates.simultaneous).tolist()
-    effects = []
-    for n, ((i, j), setting) in enumerate(product(pairs, settings)):
-        d = float(estimates.value[n])
+    has_error, effects = estimates.error is not None, []
+    each = zip(product(pairs, settings), estimates.intervals(), strict=True)
+    for ((i, j), setting), (d, ci, wide) in each:
         if math.isnan(d):  # cells are missing: this difference cannot be estimated
             continue
-        at = {name: layout.levels[name][c] for name, c in zip(others, setting, strict=True)}
+        at = {name: levels_of[name][c] for name, c in zip(others, setting, strict=True)}
         cells = [{**at, factor: level} for level in (levels[i], levels[j])]
         u = 0.0 if bound is None else bound.of(cells[0], cells[1])
-        ci, wide = ((d - h, d + h) for h in (alone[n], every[n]))
         verdict, sides = verdict_of(ci, wide, u, practical), (levels[i], levels[j])
         shown = (ci if has_error else None, wide if has_error else None)
         bounded = None if u is None else float(u)
@@ -279,7 +295,7 @@ def simple_effects(
     if not effects:
         return None
     lost = len(estimates.value) - len(effects)
-    judged = _together(factor, tuple(effects), practical)
+    judged = _together(tuple(effects), practical)
     if not lost:
         return judged
     where = "has an empty cell" if lost == 1 else "have an empty cell"
@@ -287,24 +303,13 @@ def simple_effects(
 
 
 def columns_at(
-    factor: str,
-    layout: CellLayout,
-    matrix: ModelMatrix,
-    others: Sequence[str],
-    settings: Sequence[tuple[int, ...]],
+    factor: str, matrix: ModelMatrix, others: Sequence[str], settings: Sequence[tuple[int, ...]]
 ) -> Array:
     """Combine the coefficients of a factor at settings of others, shape (settings * k, p)."""
-    k = len(layout.levels[factor])
-    codes = {name: np.zeros(len(settings) * k, dtype=np.int64) for name in layout.levels}
-    codes[factor] = np.tile(np.arange(k), len(settings))
-    for i, name in enumerate(others):
-        codes[name] = np.repeat([setting[i] for setting in settings], k)
-    cells = model_matrix(CellLayout(layout.levels, codes), [t for t in matrix.terms if t])
-    columns = np.zeros((len(settings) * k, matrix.columns.shape[1]))
-    for term in matrix.terms:
-        if factor in term:
-            columns[:, matrix.of(term)] = cells.columns[:, cells.of(term)]
-    return columns
+    k = len(matrix.layout.levels[factor])
+    codes = {factor: np.tile(np.arange(k), len(settings))}
+    codes |= {n: np.repeat([s[i] for s in settings], k) for i, n in enumerate(others)}
+    return setting_rows(matrix, codes, [t for t in matrix.terms if factor in t])
 
 
 def verdict_of(
@@ -324,11 +329,9 @@ def verdict_of(
     return NOT_RESOLVED if resolvable else CANNOT_TELL
 
 
-def _together(
-    factor: str, effects: tuple[SimpleEffect, ...], practical: float | None
-) -> SimpleEffects:
+def _together(effects: tuple[SimpleEffect, ...], practical: float | None) -> SimpleEffects:
     if practical is None:
-        return SimpleEffects(factor, CANNOT_TELL, "no practical threshold was given", effects)
+        return SimpleEffects(CANNOT_TELL, "no practical threshold was given", effects)
     low, high = np.array([e.ci or (e.difference, e.difference) for e in effects]).T
     wide = np.array([e.ci_simultaneous or (e.difference, e.difference) for e in effects]).T
     u = np.array([math.inf if e.u is None else e.u for e in effects])
@@ -341,7 +344,7 @@ def _together(
         CANNOT_TELL: "the interval of a simple effect crosses the practical threshold",
     }[verdict]
     always = _always(effects, practical) if verdict == MATTERS else ()
-    return SimpleEffects(factor, verdict, why, effects, needed, always)
+    return SimpleEffects(verdict, why, effects, needed, always)
 
 
 def _always(effects: Sequence[SimpleEffect], practical: float) -> tuple[tuple[str, str], ...]:

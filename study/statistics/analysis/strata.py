@@ -22,9 +22,8 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis import error_ledger
-from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import AnalysisResult, Assumptions, kind_of
-from study.statistics.analysis.anova_table import Anova, Effect, ErrorTerm, Row
+from study.statistics.analysis.anova_table import ErrorTerm, Row
 from study.statistics.analysis.data import (
     Crossed,
     Data,
@@ -35,24 +34,26 @@ from study.statistics.analysis.data import (
 from study.statistics.analysis.effects import (
     Gate,
     Rival,
+    TermEstimate,
     critical,
     over_groups,
     pooled_estimate,
     refusal,
     sampled_estimate,
-    size,
     with_pooled_error,
     with_sources,
 )
 from study.statistics.analysis.gate import (
     COARSE,
     block_means,
+    cell_fit,
     every_term,
     gate_of,
     limit_rivals,
     per_block,
     reading_error,
     rival_of_every_term,
+    rival_of_rounding,
     rival_over_blocks,
     rivals_over_groups,
 )
@@ -71,12 +72,11 @@ from study.statistics.analysis.linear_model import (
 )
 from study.statistics.analysis.mixed_model import (
     MixedCells,
-    rival_of_rounding,
     rival_of_shape,
     rivals_of_lack,
 )
 from study.statistics.analysis.restricted_likelihood import Sandwich, SingularError, fit_restricted
-from study.statistics.analysis.simple_effects import Sample
+from study.statistics.analysis.simple_effects import Confidence, Sample
 from study.statistics.analysis.sums_of_squares import (
     LEAST_OWN,
     Factored,
@@ -88,10 +88,10 @@ from study.statistics.analysis.sums_of_squares import (
     fitted,
     row_of_test,
     sphericity,
+    table_of,
     term_row,
     term_sums,
     welch_box,
-    with_shares,
 )
 from study.statistics.analysis.unreplicated import ulp_floor
 
@@ -158,7 +158,7 @@ def error_of_strata(block: str, plots: Plots, others: str, df: dict[str, float])
 
 def split_plot(out: AnalysisResult, plots: Plots) -> AnalysisResult:
     """Analysis of a split plot with one pooled error in each stratum."""
-    data, alpha = out.data, out.request.alpha
+    data, alpha, confidence = out.data, out.request.alpha, out.request.confidence
     whole, strata = _strata(out, out.terms, plots)
     kind, out = kind_of(out, all(s.fit.is_orthogonal() for s in strata))
     complete = {s.term: s.df for s in term_sums(whole, "III")}
@@ -173,35 +173,31 @@ def split_plot(out: AnalysisResult, plots: Plots) -> AnalysisResult:
     lost = [term_name(term) for term in out.terms if term not in by_term]
     rows += [Row(name, 0, 0.0) for name in lost]
     out = out.warn(*(f"{name}: is in no stratum whole; no test" for name in lost))
-    sample = _over_strata(whole, strata, alpha)
+    sample = _over_strata(whole, strata, confidence)
     means = block_means(data, out.y)
     rivals = limit_rivals(out.request.scale, alpha, sample, means)
     if reading := reading_error(out):
-        rivals = [Rival(COARSE, _over_strata(whole, strata, alpha, reading)), *rivals]
+        rivals = [Rival(COARSE, _over_strata(whole, strata, confidence, reading)), *rivals]
     if (full := every_term(out, data.layout)) is not None:
         every, within = _strata(out, full, plots)
-        more, notes = rival_of_every_term(out, every, partial(_over_strata, every, within))
-        rivals, out = [*rivals, *more], out.warn(*notes)
-    gate = gate_of(out, data.layout, whole, sample, rivals)
-    simple = gate.judged(out.terms)
-    effects, p = [], {row.term: row.p for row in rows}
+        rivals += rival_of_every_term(out, every, partial(_over_strata, every, within))
+    gate = gate_of(out, whole, sample, rivals)
+    estimates, p = [], {row.term: row.p for row in rows}
     for term in out.terms:
         stratum = by_term.get(term)
         fit, df = (whole, 0) if stratum is None else (stratum.fit, stratum.df)
-        estimate = pooled_estimate(data.layout, fit, term, df, p[term_name(term)], alpha, fit.rss)
-        of_means = sampled_estimate(data.layout, whole, term, None, sample)
-        estimate = replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half)
-        effects.append(size(estimate, out.scale, simple))
+        estimate = pooled_estimate(fit, term, df, p[term_name(term)], alpha, fit.rss)
+        of_means = sampled_estimate(whole, term, None, sample)
+        estimates.append(replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half))
     df_of = {term_name(t): float(by_term[t].df) for t in complete if t in by_term}
     error = error_of_strata(str(data.block), plots, "the pooled scatter within whole plots", df_of)
-    anova = Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss)
+    out = out.concluded(error, table_of(kind, rows, out.y.size, whole.tss), estimates, gate)
     judged = error_ledger.within_fit(data, out.y, plots=plots.code)
-    out = replace(out, error_term=error, anova=anova, effects=tuple(effects), plots=plots.code)
-    return replace(out, fit=judged, model=strata[-1].fit, gate=gate)
+    return replace(out, plots=plots.code, fit=judged, model=strata[-1].fit)
 
 
 def _over_strata(
-    whole: Factored, strata: Sequence[Stratum], alpha: float, reading: float = 0.0
+    whole: Factored, strata: Sequence[Stratum], confidence: Confidence, reading: float = 0.0
 ) -> Sample:
     """Estimate combinations whose variance is that of each stratum in which they lie.
 
@@ -223,7 +219,7 @@ def _over_strata(
         length[length < 1e-12 * length.sum(axis=1, keepdims=True)] = 0.0
         return length
 
-    return with_sources(whole, shares, ms, df, alpha)
+    return with_sources(whole, shares, ms, df, confidence.alpha)
 
 
 def _strata(
@@ -329,7 +325,8 @@ def own_tests(
                 tests.warnings.append(f"{name}: {why}")
             else:
                 sums = (effect.size, ss), (against, df, ss_error)
-                tests.rows[term] = _row(name, sums, direction, values, residual, apart, total)
+                corrected = _corrected(direction, values, residual, apart)
+                tests.rows[term] = row_of_test(name, *sums, total, *corrected)
     return tests
 
 
@@ -356,24 +353,18 @@ def _directions(between: Factorization, kind: str, part: Term) -> list[tuple[Ter
     return [((), mean), *spaces]
 
 
-def _row(
-    name: str,
-    sums: tuple[tuple[int, float], tuple[str, float, float]],
-    direction: Array,
-    values: Array,
-    residual: Array,
-    groups: Sequence[Ints],
-    total: float,
-) -> Row:
-    """Line of a term: Greenhouse and Geisser's in one group of blocks, else Welch and Box's."""
+def _corrected(
+    direction: Array, values: Array, residual: Array, groups: Sequence[Ints]
+) -> tuple[float, tuple[float, float] | None]:
+    """Epsilon of Greenhouse and Geisser, or of Welch and Box with their F and its error's df."""
     if groups:
         weights = np.array([direction[group].sum(axis=0) for group in groups]).T
         test = welch_box([values[:, group] for group in groups], weights)
         if test is not None:
             f, df1, df2 = test
-            epsilon = df1 / sums[0][0]
-            return row_of_test(name, *sums, total, epsilon, (f, df2 / epsilon))
-    return row_of_test(name, *sums, total, epsilon_gg(residual @ residual.T))
+            epsilon = df1 / (len(values) * direction.shape[1])
+            return epsilon, (f, df2 / epsilon)
+    return epsilon_gg(residual @ residual.T), None
 
 
 def own(out: AnalysisResult, plots: Plots | None = None) -> AnalysisResult | None:
@@ -427,23 +418,14 @@ def own(out: AnalysisResult, plots: Plots | None = None) -> AnalysisResult | Non
         is_requested = out.request.error == "own"
         error = replace(error, reason="asked for" if is_requested else f"{error.reason}; {alike}")
     layout = table.layout if groups is None else _product(table.layout, groups)
-    effects, gate, notes = _effects(out, tests, table, layout, members)
-    listed = with_shares([*rows, *tests.errors], tests.total)
+    estimates, gate = _estimates(out, tests, table, layout, members)
+    listed = table_of(kind, [*rows, *tests.errors], n * b, tests.total)
     out = replace(
-        out.warn(*notes),
-        error_term=error,
-        anova=Anova(kind, listed, n * b - 1, tests.total),
-        effects=effects,
-        gate=gate,
+        out.concluded(error, listed, estimates, gate),
         assumptions=Assumptions(sphericity=tests.sphericity),
         fit=error_ledger.within_fit(data, out.y),
     )
     return replace(out, crossed=table) if plots is None else replace(out, plots=plots.code)
-
-
-def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
-    """Fit of the terms to the means of the cells."""
-    return factor(model_matrix(table.layout, terms), table.y.mean(axis=1))
 
 
 def _groups(data: Data, table: Crossed, plots: Plots) -> CellLayout:
@@ -463,16 +445,15 @@ def _product(cells: CellLayout, blocks: CellLayout) -> CellLayout:
     return CellLayout({**cells.levels, **blocks.levels}, codes)
 
 
-def _effects(
+def _estimates(
     out: AnalysisResult, tests: OwnTests, table: Crossed, layout: CellLayout, groups: Sequence[Ints]
-) -> tuple[tuple[Effect, ...], Gate, list[str]]:
-    """Effects and verdicts with variances of their own in each group, and what was seen besides.
+) -> tuple[list[TermEstimate], Gate]:
+    """Estimates with variances of their own in each group, and the gate of claims by them.
 
     Where one of several groups has two blocks, sizes have the pooled error of their stratum.
     """
     request, b = out.request, table.y.shape[1]
     fewest, several = min(map(len, groups)), len(groups) > 1
-    seed = None if several and fewest < LEAST_OWN else request.interval_seed
 
     def with_parts(terms: Sequence[Term]) -> tuple[Factored, Array]:
         if not several:
@@ -484,26 +465,22 @@ def _effects(
         return fit, each.reshape(len(each), -1, b).sum(axis=1)
 
     fit, added = with_parts(out.structure.asked or out.terms)
-    sample = over_groups(fit, added, groups, request.alpha, seed)
-    own_errors = over_groups(fit, added, groups, request.alpha, None)
-    notes: list[str] = []
+    sample = over_groups(fit, added, groups, request.confidence)
+    own_errors = over_groups(fit, added, groups, Confidence(request.alpha))
     if fewest < 2:  # one block tells no scatter
         rivals = [refusal(_LONE_BLOCK)]
-        sample = with_pooled_error(fit, fit.rss, fit.df_residual, request.alpha, seed)
+        sample = with_pooled_error(fit, fit.rss, fit.df_residual, Confidence(request.alpha))
     else:
         rivals = rivals_over_groups(out, fit, added, groups, sample, table.y)
         if (full := every_term(out, layout)) is not None:
             whole, parts = with_parts(full)
-            at = partial(over_groups, whole, parts, groups, seed=seed)
+            at = partial(over_groups, whole, parts, groups)
             if several:
-                more, notes = rival_of_every_term(out, whole, at)
+                rivals += rival_of_every_term(out, whole, at)
             else:
-                more, notes = rival_over_blocks(fit, whole, table.y, at(request.alpha))
-            rivals += more
-    gate = gate_of(out, layout, fit, sample, rivals)
-    simple = gate.judged(out.terms)
+                rivals += rival_over_blocks(fit, whole, table.y, at(request.confidence))
     by_error = {row.term: row for row in tests.errors}
-    effects = []
+    estimates = []
     for term in out.terms:
         row = tests.rows.get(term, Row(term_name(term), 0, 0.0))
         p = row.p_deciding
@@ -511,15 +488,15 @@ def _effects(
             levels = math.prod(len(layout.levels[name]) for name in term)
             of_term = critical(levels, max(int(row.df), 1), b - 1, request.alpha, by_block=True)
             multiplier = None if several else of_term
-            estimate = sampled_estimate(layout, fit, term, p, own_errors, multiplier)
+            estimate = sampled_estimate(fit, term, p, own_errors, multiplier)
         else:
             error = by_error.get(row.error or "", row)
             df = error.df * (row.epsilon_gg or 1.0) if row.error else 0.0
             rss = (error.ms or 0.0) * df
-            estimate = pooled_estimate(layout, fit, term, df, p, request.alpha, rss)
+            estimate = pooled_estimate(fit, term, df, p, request.alpha, rss)
             estimate = replace(estimate, mean_half=None)
-        effects.append(size(estimate, out.scale, simple))
-    return tuple(effects), gate, notes
+        estimates.append(estimate)
+    return estimates, gate_of(out, fit, sample, rivals)
 
 
 def _own_error(
@@ -572,7 +549,7 @@ def incomplete_blocks(out: AnalysisResult, plots: Plots | None = None) -> Analys
     lacking, b = blocks_that_lack_cells(data, data.factors)
     if not lacking or out.replicates in ("noise", "mesh-seeds"):
         return None
-    mixed = mixed_cells(data.layout, out.terms, block, out.y, out.request)
+    mixed = mixed_cells(out, out.terms)
     if mixed is None:
         return None
     model, sandwich, sources = mixed
@@ -597,11 +574,9 @@ def incomplete_blocks(out: AnalysisResult, plots: Plots | None = None) -> Analys
             row, df=test.df, f=test.f, p=test.p, error="REML", df_error=test.df_error,
             epsilon_gg=epsilon, p_gg=max(test.p, p_own),
         )  # fmt: skip
-    rows.append(replace(rows[0], term="residual", df=within.df_residual, ss=within.rss, ms=None))
+    rows.append(Row("residual", within.df_residual, within.rss))
     out = out.warn(*alias_warnings([bases[term] for term in out.terms]))
-    rivals, notes = _rivals(out, model, sandwich)
-    out = out.warn(*notes)
-    gate = gate_of(out, data.layout, model.of_factors, model.sample, rivals)
+    gate = gate_of(out, model.of_factors, model.sample, _rivals(out, model, sandwich))
     scatter = f"interactions with {b} levels of {block}"
     if plots is not None:
         scatter = f"{b} levels of {block} and their whole plots ({plots.name})"
@@ -614,51 +589,43 @@ def incomplete_blocks(out: AnalysisResult, plots: Plots | None = None) -> Analys
         f"{', '.join(map(term_name, sources))} and the rest; each interval also reaches as far as "
         f"the scatter of its difference over the levels of {block} tells (CR2)"
     )
+    error = ErrorTerm("E1", question, df_error, reason)
+    listed = table_of("III", rows, out.y.size, within.tss)
     return replace(
-        out,
-        error_term=ErrorTerm("E1", question, df_error, reason),
-        anova=Anova("III", with_shares(rows, within.tss), out.y.size - 1, within.tss),
-        effects=model.effects(out.terms, p, out.scale, gate.judged(out.terms)),
-        gate=gate,
+        out.concluded(error, listed, model.estimates(out.terms, p), gate),
         fit=error_ledger.within_fit(data, out.y, plots=None if plots is None else plots.code),
         plots=data.layout.codes[block] if plots is None else plots.code,
     )
 
 
-def _rivals(
-    out: AnalysisResult, model: MixedCells, sandwich: Sandwich
-) -> tuple[list[Rival], list[str]]:
-    """Rivals where blocks lack cells, and what was seen of the declared model."""
+def _rivals(out: AnalysisResult, model: MixedCells, sandwich: Sandwich) -> list[Rival]:
+    """Rivals where blocks lack cells."""
     rivals = limit_rivals(
         out.request.scale, out.request.alpha, model.sample, block_means(out.data, out.y)
     )
-    notes: list[str] = []
     if reading := reading_error(out):
-        rivals.insert(0, rival_of_rounding(model, reading))
+        rivals.insert(0, rival_of_rounding(model.sample, model.along, reading))
     rivals.append(rival_of_shape(model, sandwich))
     full = every_term(out, out.data.layout)
-    if full is None:
-        return rivals, notes
-    mixed = mixed_cells(out.data.layout, full, str(out.data.block), out.y, out.request)
-    if mixed is None:
-        return rivals, notes
-    whole, of_whole, _ = mixed
-    lack, notes = rivals_of_lack(whole, out.terms, lambda basis: of_whole.test(basis)[1])
-    return rivals + lack, notes
+    mixed = None if full is None else mixed_cells(out, full)
+    if mixed is not None:
+        whole, of_whole, _ = mixed
+        rivals += rivals_of_lack(whole, out.terms, lambda basis: of_whole.test(basis)[1])
+    return rivals
 
 
 def mixed_cells(
-    layout: CellLayout, terms: Sequence[Term], block: str, y: Array, request: AnalysisRequest
+    out: AnalysisResult, terms: Sequence[Term]
 ) -> tuple[MixedCells, Sandwich, list[Term]] | None:
-    """Mixed model of one row of y (n,) a cell and block, its sandwich and its random terms.
+    """Mixed model of terms with one row a cell and block, its sandwich and its random terms.
 
     Random are the blocks and their interactions with the terms, or the whole plots of the factors
     named. None where no model can be fitted.
     """
-    bare = model_matrix(layout, terms)
-    shift = float(y.mean())
-    fixed = factor(bare, y - shift)
-    inner = [request.layout.whole_plot] if request.layout.whole_plot else terms
+    layout, block, shift = out.data.layout, str(out.data.block), float(out.y.mean())
+    bare, y = model_matrix(layout, terms), out.y - shift
+    fixed, whole_plot = factor(bare, y), out.request.layout.whole_plot
+    inner = [whole_plot] if whole_plot else terms
     candidates = [(block,), *((block, *term) for term in inner)]
     codes = {t: np.unique(layout.cell(t), return_inverse=True)[1] for t in candidates}
     # what has a level of its own in every row is the scatter within
@@ -667,14 +634,13 @@ def mixed_cells(
         random.pop()
     while random and int(codes[random[0]].max()) >= 2:
         try:
-            fit = fit_restricted(fixed.q, y - shift, [codes[t] for t in random])
+            fit = fit_restricted(fixed.q, y, [codes[t] for t in random])
         except SingularError as error:
             if error.which == 0:
                 break
             random.pop(min(error.which, len(random) - 1))
             continue
-        sandwich = Sandwich(fit, fixed, y - shift, layout.codes[block])
-        alpha, seed = request.alpha, request.interval_seed
-        model = MixedCells(fit, fixed, bare, layout, shift, alpha, seed, sandwich.errors)
+        sandwich = Sandwich(fit, layout.codes[block])
+        model = MixedCells(fit, fixed, bare, shift, out.request.confidence, sandwich.errors)
         return model, sandwich, random
     return None

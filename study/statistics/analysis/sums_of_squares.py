@@ -18,7 +18,8 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.canonical import Keyed
 from study.ground.noncentral_f import noncentral_f_sf
-from study.statistics.analysis.anova_table import Influential, ModelSummary, Row
+from study.ground.units import p_phrase
+from study.statistics.analysis.anova_table import Anova, Influential, ModelSummary, Row
 from study.statistics.analysis.linear_model import (
     Factorization,
     ModelMatrix,
@@ -184,28 +185,42 @@ class FRatioTest(Keyed):
     #: Probability of a larger ratio where there is nothing to be found.
     p: float
 
+    @classmethod
+    def of(cls, f: float, df: float, df_error: float) -> FRatioTest:
+        """Test of a ratio by its degrees of freedom."""
+        from scipy.special import fdtrc
+
+        return cls(float(f), float(df), float(df_error), float(fdtrc(df, df_error, f)))
+
+    @property
+    def words(self) -> str:
+        """Such as ``F(2, 12.35) = 2.5, p = .12``; the df of an approximation are rounded."""
+        df = f"{self.df_error:{'' if self.df_error.is_integer() else '.4'}g}"
+        return f"F({self.df:g}, {df}) = {self.f:.4g}, {p_phrase(self.p)}"
+
 
 def extra_sum(ss: float, df: float, ss_error: float, df_error: float) -> FRatioTest | None:
     """Test what a larger model adds against what it leaves; None where nothing is left to judge by.
 
-    Of a declared model it is the test of its lack of fit, whatever the larger one is: all
-    interactions, or a mean for each setting.
+    Of a declared model it tests lack of fit: against all interactions, or a mean for each setting.
     """
-    from scipy.special import fdtrc
-
     if min(df, df_error) < 1 or ss_error <= 0:
         return None
     f = max(ss, 0.0) / df / (ss_error / df_error)
-    return FRatioTest(f, float(df), float(df_error), float(fdtrc(df, df_error, f)))
+    return FRatioTest.of(f, df, df_error)
 
 
-def with_shares(rows: Sequence[Row], total: float) -> tuple[Row, ...]:
-    """Rows with their share of the variation and the interval of partial eta squared."""
+def table_of(kind: str, rows: Sequence[Row], n: int, total: float) -> Anova:
+    """Table of n rows of data, with shares of the variation and intervals of partial eta squared.
+
+    ``total`` is the sum of squares of all of them.
+    """
     shares = [row.ss / total if total > 0 else None for row in rows]
-    return tuple(
+    listed = (
         replace(row, share=share, partial_eta_sq_ci95=eta_interval(row))
         for row, share in zip(rows, shares, strict=True)
     )
+    return Anova(kind, tuple(listed), n - 1, total)
 
 
 def alias_warnings(sums: Sequence[TermSum], *, partial: bool = False) -> list[str]:
@@ -465,10 +480,7 @@ def over_blocks(values: Array, least: float = 0.0) -> FRatioTest | None:
     test = welch_box([values], np.ones(1))
     if test is None or float(np.sum(np.var(values, axis=1, ddof=1))) <= least:
         return None
-    from scipy.special import fdtrc
-
-    f, df, df_error = test
-    return FRatioTest(f, df, df_error, float(fdtrc(df, df_error, f)))
+    return FRatioTest.of(*test)
 
 
 # -------------------------------------------------------------------------------------------------

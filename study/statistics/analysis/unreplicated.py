@@ -230,9 +230,7 @@ def non_additivity(fit: Factored | TwoWayFit) -> NonAdditivityResult:
     return NonAdditivityResult(f, (1, df), float(fdtrc(1, df, f)))
 
 
-def functional_shares(
-    layout: CellLayout, factors: Sequence[str], y: Array, terms: Sequence[Term]
-) -> dict[str, float]:
+def functional_shares(layout: CellLayout, factors: Sequence[str], y: Array) -> dict[str, float]:
     """Exact functional-ANOVA shares of a full factorial (Hooker 2007); they sum to one.
 
     Shapes: y (cells,).
@@ -242,7 +240,7 @@ def functional_shares(
     total = float(((cube - cube.mean()) ** 2).mean())
     components: dict[Term, Array] = {(): np.asarray(cube.mean()).reshape([1] * len(shape))}
     shares = {}
-    for term in sorted(terms, key=len):
+    for term in terms_of(factors):
         averaged = tuple(i for i, name in enumerate(factors) if name not in term)
         part = cube.mean(axis=averaged, keepdims=True)
         for lower, component in components.items():

@@ -15,6 +15,7 @@ import scipy
 from study.ground.arrays import Array, Flags
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
+from study.statistics.analysis.comparisons import t_quantile
 from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 from study.statistics.surfaces.gaussian_process import (
     FAMILIES,
@@ -84,7 +85,7 @@ def is_confirmed(runs: Runs, j: int, least: float) -> bool:
     means = means[means.index.get_level_values(0).duplicated(keep=False)]
     n = means.shape[1]
     # two blocks have no interval
-    t = float(scipy.special.stdtrit(n - 1, 0.975)) if n > 2 else math.nan
+    t = t_quantile(0.025, n - 1) if n > 2 else math.nan
     for _, at_place in means.groupby(level=0):
         for a, b in combinations(at_place.to_numpy(), 2):
             change = a - b
@@ -362,7 +363,7 @@ def fit_emulator(runs: Runs, seed: int = 0) -> Emulator:
     return model
 
 
-def fit_together(runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0) -> tuple[Emulator, ...]:
+def fit_together(runs: Sequence[Runs], sizes: Sequence[int]) -> tuple[Emulator, ...]:
     """Fit one process to the runs of all combinations of categories together."""
     for single in runs:
         n = len(single.distinct()[0])
@@ -374,10 +375,10 @@ def fit_together(runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0) -> t
     first = runs[0]
     coded, response = (np.concatenate([getattr(r, n) for r in runs]) for n in ("coded", "response"))
     _check(Runs(first.name, first.factors, coded, response))
-    return _fitted(runs, sizes, seed)
+    return _fitted(runs, sizes)
 
 
-def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emulator, ...]:
+def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0) -> tuple[Emulator, ...]:
     averaged = [_emulator_averaged(response) for response in runs]
     numbers = range(len(runs)) if sizes else [None]
     parts = []
@@ -525,8 +526,7 @@ class BlockedEmulator(Keyed):
     def scatter(self, values: Array) -> Array:
         """Half width of the 95 % interval of a mean over blocks, the first axis of the values."""
         b = len(self.each)
-        t = float(scipy.special.stdtrit(b - 1, 0.975))
-        return np.asarray(t * values.std(axis=0, ddof=1) / np.sqrt(b))
+        return np.asarray(t_quantile(0.025, b - 1) * values.std(axis=0, ddof=1) / np.sqrt(b))
 
 
 def fit_own(runs: Runs) -> Emulator | BlockedEmulator:
@@ -536,16 +536,14 @@ def fit_own(runs: Runs) -> Emulator | BlockedEmulator:
     return BlockedEmulator(runs, {b: fit_emulator(_of_block(runs, b)) for b in _blocks(runs)})
 
 
-def fit_blocks_together(
-    runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0
-) -> tuple[BlockedEmulator, ...]:
+def fit_blocks_together(runs: Sequence[Runs], sizes: Sequence[int]) -> tuple[BlockedEmulator, ...]:
     """Fit one process a block to its runs of all combinations of categories."""
     every = [_blocks(response) for response in runs]
     if any(set(response) != set(every[0]) for response in every):
         rule = "the combinations of levels have runs of other blocks"
         raise RefusedError(str(Fault("emulator", rule, "run every block at each of them")))
     emulators = {
-        name: fit_together([_of_block(response, name) for response in runs], sizes, seed)
+        name: fit_together([_of_block(response, name) for response in runs], sizes)
         for name in every[0]
     }
     return tuple(
@@ -605,11 +603,9 @@ class Unsure:
         matrix = kernel.correlation(run_points, run_points)
         matrix[np.diag_indices_from(matrix)] += max(nugget, 1e-10)
         factor = scipy.linalg.cholesky(matrix, lower=True)
-        half_x = scipy.linalg.solve_triangular(
-            factor, kernel.correlation(run_points, x), lower=True
-        )
-        half_at = scipy.linalg.solve_triangular(
-            factor, kernel.correlation(run_points, at), lower=True
+        half_x, half_at = (
+            scipy.linalg.solve_triangular(factor, kernel.correlation(run_points, p), lower=True)
+            for p in (x, at)
         )
         shared = kernel.correlation(x, at) - half_x.T @ half_at
         variance = np.maximum(1.0 - (half_x**2).sum(axis=0), 0.0) + max(nugget, 1e-10)

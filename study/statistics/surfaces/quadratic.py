@@ -9,12 +9,11 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-import scipy
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, RefusedError
-from study.statistics.analysis.comparisons import all_contrasts
+from study.statistics.analysis.comparisons import all_contrasts, t_quantile, two_sided
 from study.statistics.analysis.data import DISTINCT_ROWS
 from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
 from study.statistics.analysis.sums_of_squares import (
@@ -30,36 +29,25 @@ from study.statistics.surfaces.surface_factors import Runs, box_points, change_t
 # A polynomial of second order in coded factors.
 
 
-@dataclass(frozen=True)
-class Term:
-    """One column of the model: a product of at most two factors, given by their positions."""
+#: one column of the model: a product of at most two factors, given by their positions
+Term = tuple[int, ...]
 
-    factors: tuple[int, ...]
 
-    def column(self, coded: Array) -> Array:
-        """Values of the term, shape (n,), at coded points of shape (n, k)."""
-        return np.asarray(np.prod(coded[:, list(self.factors)], axis=1), dtype=np.float64)
-
-    def label(self, names: Sequence[str]) -> str:
-        """Name as it is printed: ``1``, ``time``, ``time^2`` or ``time:temp``."""
-        if not self.factors:
-            return "1"
-        if len(self.factors) == 2 and self.factors[0] == self.factors[1]:
-            return f"{names[self.factors[0]]}^2"
-        return ":".join(names[j] for j in self.factors)
+def label_of(term: Term, names: Sequence[str]) -> str:
+    """Name of a term as it is printed: ``1``, ``time``, ``time^2`` or ``time:temp``."""
+    square = len(term) > len(set(term))
+    return f"{names[term[0]]}^2" if square else ":".join(names[j] for j in term) or "1"
 
 
 def second_order(levels: Sequence[int]) -> tuple[Term, ...]:
     """Terms 1, x_j, x_j x_k and x_j^2; no square of a factor with two levels."""
     k = range(len(levels))
-    linear = [Term((j,)) for j in k]
-    products = [Term(pair) for pair in combinations(k, 2)]
-    return (Term(()), *linear, *products, *(Term((j, j)) for j in k if levels[j] > 2))
+    return ((), *((j,) for j in k), *combinations(k, 2), *((j, j) for j in k if levels[j] > 2))
 
 
 def model_matrix(terms: Sequence[Term], coded: Array) -> Array:
     """Columns of the terms, shape (n, terms), at coded points of shape (n, k)."""
-    return np.column_stack([term.column(coded) for term in terms])
+    return np.column_stack([np.prod(coded[:, list(term)], axis=1) for term in terms])
 
 
 @dataclass(frozen=True)
@@ -79,18 +67,17 @@ class QuadraticPolynomial:
         """Coefficients b of the linear terms, shape (k,)."""
         b = np.zeros(self.k)
         for term, c in zip(self.terms, self.coefficients, strict=True):
-            if len(term.factors) == 1:
-                b[term.factors[0]] = c
+            if len(term) == 1:
+                b[term] = c
         return b
 
     def quadratic(self) -> Array:
         """Symmetric matrix B, shape (k, k), of the second-order terms x'Bx."""
         matrix = np.zeros((self.k, self.k))
         for term, c in zip(self.terms, self.coefficients, strict=True):
-            if len(term.factors) == 2:
-                i, j = term.factors
-                matrix[i, j] += 0.5 * c
-                matrix[j, i] += 0.5 * c
+            if len(term) == 2:
+                matrix[term] += 0.5 * c
+                matrix[term[::-1]] += 0.5 * c
         return matrix
 
     def gradient(self, coded: Array) -> Array:
@@ -146,7 +133,7 @@ def factorize(terms: Sequence[Term], coded: Array) -> ModelColumns:
     columns = ModelColumns(tuple(estimated), (), factorize_columns(model_matrix(estimated, coded)))
     aliases = []
     for term in left_out:
-        weights = columns.coefficients(term.column(coded))
+        weights = columns.coefficients(model_matrix([term], coded)[:, 0])
         sums = ((t, float(w)) for t, w in zip(estimated, weights, strict=True) if abs(w) > ALIASED)
         aliases.append((term, tuple(sums)))
     return replace(columns, aliases=tuple(aliases))
@@ -370,7 +357,7 @@ class QuadraticSurface(Keyed):
     def _scatter(self, j: int) -> float:
         """Half width of every difference of two settings of one factor together."""
         covariance = np.asarray(self.covariance)
-        of_factor = [i for i, term in enumerate(self.polynomial.terms) if j in term.factors]
+        of_factor = [i for i, term in enumerate(self.polynomial.terms) if j in term]
         p, spread = len(of_factor), covariance[np.ix_(of_factor, of_factor)]
         points = box_points(self.polynomial.k, 256)
         steps = np.linspace(-1.0, 1.0, 5)
@@ -388,7 +375,7 @@ class QuadraticSurface(Keyed):
         if multiplier is not None:
             return largest * multiplier
         # none of 3,000 ranges over 2 or 3 normal blocks went beyond: the largest error serves all
-        return largest * float(scipy.special.stdtrit(self.df, 1 - 0.025 / len(points)))
+        return largest * t_quantile(0.025 / len(points), self.df)
 
     @property
     def where_level(self) -> dict[str, object] | None:
@@ -530,7 +517,7 @@ def _with_blocks(runs: Runs) -> QuadraticSurface:
     )  # fmt: skip
     tests: dict[str, FRatioTest] = {}
     for j, name in enumerate(runs.names):
-        of_factor = [i for i, term in enumerate(columns.terms) if j in term.factors]
+        of_factor = [i for i, term in enumerate(columns.terms) if j in term]
         test = against_blocks(columns.alone(of_factor), table)
         tests |= {} if test is None else {name: test}
     return replace(surface, factor_tests=tests)
@@ -599,7 +586,7 @@ def _surface(
             f"one run more than coefficients: a Q2 of {loo.q2:.2f} may be chance; add runs"
         )
     # a stationary point needs every square
-    squares = sum(len(t.factors) == 2 and t.factors[0] == t.factors[1] for t in columns.terms)
+    squares = sum(len(term) > len(set(term)) for term in columns.terms)
     point = stationary_point(polynomial) if squares == polynomial.k else None
     covariance, df = of_blocks or (None, response.size - columns.model.rank)
     if of_blocks is None and df > 0:
@@ -614,14 +601,14 @@ def _surface(
         if limit is not None:
             level = partial(level_at, polynomial, covariance, limit)
             point = replace(point, region=_region(point, level))
-    label = {term: term.label(runs.names) for term in second_order(runs.levels())}
+    label = {term: label_of(term, runs.names) for term in second_order(runs.levels())}
     coefficients = polynomial.coefficients.tolist()
     terms = [SurfaceTerm(label[t], c) for t, c in zip(columns.terms, coefficients, strict=True)]
     if covariance is not None and error != "none":
-        t = float(scipy.special.stdtrit(df, 0.975))
+        t = t_quantile(0.025, df)
         for i, se in enumerate(np.sqrt(np.diag(covariance)).tolist()):
             c = coefficients[i]
-            p = float(2.0 * scipy.special.stdtr(df, -abs(c) / se)) if se > 0 else None
+            p = two_sided(c / se, df) if se > 0 else None
             terms[i] = replace(terms[i], interval=(c - t * se, c + t * se), p=p)
     aliases, mixed = [], []
     for term, parts in columns.aliases:
@@ -643,7 +630,7 @@ def _mixed(
 
     The estimated terms lose what the term takes from them, so that nothing changes at the runs.
     """
-    mixed = [estimates[t] for t, _ in parts if t.factors]
+    mixed = [estimates[t] for t, _ in parts if t]
     large = [max(map(abs, e.interval or (e.coefficient,))) for e in mixed]
     weights = np.array([1.0, *(-w for _, w in parts)])
     return QuadraticPolynomial((term, *(t for t, _ in parts)), max(large, default=0.0) * weights, k)

@@ -30,14 +30,14 @@ from study.statistics.surfaces.emulator import (
 from study.statistics.surfaces.quadratic import fit_quadratic
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_optimum import Model
-from study.statistics.surfaces.surface_profile import (
+from study.statistics.surfaces.surface_result import (
     SCREENS,
     FittedSurface,
     LevelDifference,
+    analysis_of,
     elementary_effects,
     level_difference,
 )
-from study.statistics.surfaces.surface_result import analysis_of
 
 if TYPE_CHECKING:
     from study.statistics.analysis.analysis_request import Practical

@@ -11,10 +11,10 @@ import numpy as np
 import study
 from study.ground.arrays import gathered
 from study.ground.canonical import Keyed
-from study.statistics.surfaces.emulator import BlockedEmulator, Emulator
+from study.statistics.surfaces.emulator import Emulator
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_factors import box_points
-from study.statistics.surfaces.surface_profile import FittedSurface
+from study.statistics.surfaces.surface_result import FittedSurface
 
 #: points of the box at which the error bound is looked for
 ASKED = 4096
@@ -100,12 +100,11 @@ def _surface_function(name: str, fitted: FittedSurface) -> SurfaceFunction:
     if isinstance(model, QuadraticSurface):
         polynomial = model.polynomial
         products = tuple(
-            {"inputs": list(t.factors), "coefficient": float(c)}
+            {"inputs": list(t), "coefficient": float(c)}
             for t, c in zip(polynomial.terms, polynomial.coefficients, strict=True)
         )
         return SurfaceFunction(name, fitted, inputs, 0.0, (), products, bound)
-    each = model.each if isinstance(model, BlockedEmulator) else (model,)
-    levels, parts = zip(*(_part(emulator, len(each)) for emulator in each), strict=True)
+    levels, parts = zip(*(_part(e, len(model.each)) for e in model.each), strict=True)
     return SurfaceFunction(name, fitted, inputs, sum(levels), parts, (), bound)
 
 
