@@ -30,3 +30,11 @@ def virtual(predict, values, d, noise=0.0, rng=None):
     if noise:
         force = force + noise * rng.normal(size=d.size)
     return [MeasuredCurve("virtual", Curve(d, force))]
+
+
+def autoregression(rho, rng, rows):
+    """Stationary errors of unit variance, of which neighbors have a correlation."""
+    error = rng.normal(size=rows)
+    for k in range(1, rows):
+        error[k] = rho * error[k - 1] + np.sqrt(1 - rho**2) * error[k]
+    return error

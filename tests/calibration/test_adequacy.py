@@ -13,8 +13,9 @@ from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.lack_of_fit import adequacy, apart
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
-from tests.calibration.cylinder import predictor
+from tests.calibration.cylinder import autoregression, predictor
 from tests.cli import small
+from tests.cli.small import case_file, gauge, recorded
 from tests.fem.problems import LONG, long_verification
 
 TRUTH = {"C10": 15e-3, "C20": 3e-3}
@@ -25,14 +26,8 @@ FALSE = 0.02
 
 def errors(kind, force, size, rng):
     """Errors of rows with a standard deviation of ``size`` over the (largest) force."""
-    white = rng.normal(size=force.size)
-    if kind == "proportional":
-        return size * force * white
-    rho = 0.9 if kind == "drift" else 0.0
-    out = white.copy()
-    for k in range(1, out.size):
-        out[k] = rho * out[k - 1] + np.sqrt(1 - rho**2) * white[k]
-    return size * force.max() * out
+    scale = force if kind == "proportional" else force.max()
+    return size * scale * autoregression(0.9 if kind == "drift" else 0.0, rng, force.size)
 
 
 def judged(curves, names=("C10", "C20"), model="reduced-polynomial", tests=(), bounds=None):
@@ -90,6 +85,13 @@ def test_an_energy_that_is_wrong_is_told(kind, points):
         assert "take another energy" in found.sentence or "then the energy" in found.sentence
 
 
+def fitted(predict, d, read, names=("C10",), start=(1e-2,), **loss):
+    """Fit of one curve, and what is judged of it."""
+    curves = [MeasuredCurve("a", Curve(d, read), **loss)]
+    found = with_serial_correlation(fit(predict, curves, names, list(start)), curves)
+    return found, adequacy(found, curves)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_load_cell_that_drifts_by_a_twentieth_is_doubtful(sign):
     """Constants take up most of it: C10 is 5 % off, and the interval says .2 %."""
@@ -98,9 +100,7 @@ def test_a_load_cell_that_drifts_by_a_twentieth_is_doubtful(sign):
     for drift, verdict in ((0.05, "doubtful"), (0.0, "describes")):
         for _ in range(10):
             read = force + drift * force.max() * np.linspace(0, 1, 100)
-            measured = [MeasuredCurve("a", Curve(d, read + errors("white", force, 0.002, rng)))]
-            found = with_serial_correlation(fit(predict, measured, ("C10",), [1e-2]), measured)
-            told = adequacy(found, measured)
+            _, told = fitted(predict, d, read + errors("white", force, 0.002, rng))
             assert told.verdict == verdict
             assert ("drifts by" in told.sentence) == (drift > 0)
 
@@ -109,12 +109,9 @@ def test_a_load_cell_that_drifts_by_a_twentieth_is_doubtful(sign):
 def test_a_load_cell_that_is_not_zeroed_is_told_beside_noise(zero, least, most):
     """By 3 % of the force, beside noise of 3 %, in half of draws; general trends told 7 of 30."""
     predict, d = predictor("neo-hookean", ("C10",), 12.0, sign=1.0, points=60)
-    force, rng, doubted = predict(np.array([15e-3]))[0].force_N, np.random.default_rng(4), 0
-    for _ in range(30):
-        read = force + zero * force.max() + errors("white", force, 0.03, rng)
-        measured = [MeasuredCurve("a", Curve(d, read))]
-        fitted = with_serial_correlation(fit(predict, measured, ("C10",), [1e-2]), measured)
-        doubted += adequacy(fitted, measured).verdict == "doubtful"
+    force, rng = predict(np.array([15e-3]))[0].force_N, np.random.default_rng(4)
+    reads = [force + zero * force.max() + errors("white", force, 0.03, rng) for _ in range(30)]
+    doubted = sum(fitted(predict, d, read)[1].verdict == "doubtful" for read in reads)
     assert least <= doubted <= most
 
 
@@ -148,21 +145,26 @@ def test_specimens_that_differ_are_noise_and_what_they_share_is_not():
 
 
 RAMP = np.linspace(0.0, 9.0, 46)
-PULLED = 200 * 0.02 * (1 + RAMP / 30 - (1 + RAMP / 30) ** -2)  # N, of C10 = 20 kPa
 
 
-def calibrated(folder, rows, column="", more=""):
-    """Adequacy that ``study calibrate`` gives of rows of tension: number, mm, N."""
-    lines = ["no,d,f", *(f"{number},{d:.6f},{f:.6f}" for number, d, f in rows)]
-    (folder / "a.csv").write_text("\n".join(lines) + "\n")
-    (folder / "c.toml").write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "100 mm^2"\nlength = "30 mm"\n'
-        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
-        'test = { kind = "tension" }\n[tests.measurements]\nfile = "a.csv"\n'
-        'columns = { displacement = "d", force = "f" }\n'
-        f'units = {{ displacement = "mm", force = "N" }}\n{column}\n{more}\n'
-    )
-    return study.calibrate(folder / "c.toml", data=folder).adequacy
+def pulled(held):
+    """Force of C10 = 20 kPa at displacements of its gauge section, N."""
+    return 200 * 0.02 * (1 + held / 30 - (1 + held / 30) ** -2)
+
+
+PULLED = pulled(RAMP)
+
+
+SIZE = 'area = "100 mm^2"\nlength = "30 mm"\n'
+
+
+def calibrated(folder, force, place=RAMP, keys="", more="", **labels):
+    """Adequacy that ``study calibrate`` gives of rows of tension, which columns may label."""
+    columns = {name: ("", values) for name, values in labels.items()}
+    columns |= {"displacement": ("mm", place), "force": ("N", force)}
+    test = recorded(folder, "a", 'kind = "tension"', columns, keys)
+    head = gauge('model = "neo-hookean"\nincompressible = true', SIZE)
+    return study.calibrate(case_file(folder, head, test, more), data=folder).adequacy
 
 
 @pytest.mark.parametrize(
@@ -177,11 +179,11 @@ def calibrated(folder, rows, column="", more=""):
 )
 def test_a_recording_that_is_none_of_the_others_is_named(tmp_path, last, column, verdict):
     """C10 of 20 kPa was 26.7, 13.4 and 65 kPa where the third of three was in another unit."""
-    rng, rows = np.random.default_rng(4), []
-    for number, (stiff, far) in enumerate([(1.0, 1.0), (1.02, 1.0), last], 1):
-        read = stiff * PULLED + rng.normal(0, 0.003, RAMP.size)
-        rows += [(number, d, f) for d, f in zip(far * RAMP, read, strict=True)]
-    told = calibrated(tmp_path, rows, column)
+    stiff, far = np.array([(1.0, 1.0), (1.02, 1.0), last]).T
+    noise = np.random.default_rng(4).normal(0, 0.003, (3, RAMP.size))
+    read, place = np.outer(stiff, PULLED) + noise, np.outer(far, RAMP)
+    number = np.repeat([1, 2, 3], RAMP.size)
+    told = calibrated(tmp_path, read.ravel(), place.ravel(), f", {column}", no=number)
     assert told.verdict == verdict
     named = "a.csv, repeat 3" if "average" in column else "a.csv, 3"
     assert (f"{named}: its forces are" in told.sentence) == (verdict == "doubtful")
@@ -202,6 +204,13 @@ def test_a_specimen_off_by_ten_is_named_beside_ones_that_scatter(specimens, fact
     assert sound / 500 < 0.01
 
 
+def judged_together(folder, *tests, model="mooney-rivlin"):
+    """Adequacy of an energy that is calibrated to several tests of 80 mm^2 and 20 mm."""
+    size = 'area = "80 mm^2"\nlength = "20 mm"\n'
+    head = gauge(f'model = "{model}"\nincompressible = true', size)
+    return study.calibrate(case_file(folder, head, *tests), data=folder).adequacy
+
+
 @pytest.mark.parametrize("second", [1.0, 1.1, 0.8])
 def test_tests_that_ask_for_different_constants_are_told(tmp_path, second):
     """Equibiaxial forces 10 % too large gave a C01 of 13.6 [11.5, 15.7] kPa of 10, and described.
@@ -209,29 +218,17 @@ def test_tests_that_ask_for_different_constants_are_told(tmp_path, second):
     Each test alone follows the energy; both together do with the right forces alone.
     """
     rng, far = np.random.default_rng(9), np.linspace(0, 8, 41)
-    stretch = 1 + far / 20
-    forces = {
+    stretch, tests = 1 + far / 20, []
+    for kind, force in {
         "tension": 160 * (0.02 + 0.01 / stretch) * (stretch - stretch**-2),
         "equibiaxial": second * 160 * (0.02 + 0.01 * stretch**2) * (stretch - stretch**-5),
-    }
-    text = (
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
-        '[material]\nmodel = "mooney-rivlin"\nincompressible = true\n'
-    )
-    for kind, force in forces.items():
-        rows = zip(far, force + 0.02 * rng.normal(size=41), strict=True)
-        (tmp_path / f"{kind}.csv").write_text(
-            "d,f\n" + "".join(f"{d:.6f},{f:.6f}\n" for d, f in rows)
-        )
-        text += (
-            f'[[tests]]\ntest = {{ kind = "{kind}" }}\nmeasurements = {{ file = "{kind}.csv", '
-            'columns = { displacement = "d", force = "f" }, '
-            'units = { displacement = "mm", force = "N" } }\n'
-        )
-    (tmp_path / "c.toml").write_text(text)
-    judged = study.calibrate(tmp_path / "c.toml", data=tmp_path).adequacy
-    assert judged.verdict == ("describes" if second == 1 else "doubtful")
-    assert ("the tests ask for different constants" in judged.sentence) == (second != 1)
+    }.items():
+        read = force + 0.02 * rng.normal(size=41)
+        columns = {"displacement": ("mm", far), "force": ("N", read)}
+        tests.append(recorded(tmp_path, kind, f'kind = "{kind}"', columns))
+    told = judged_together(tmp_path, *tests)
+    assert told.verdict == ("describes" if second == 1 else "doubtful")
+    assert ("the tests ask for different constants" in told.sentence) == (second != 1)
 
 
 @pytest.mark.parametrize("specimens", [(4, 4), (5, 5), (5, 1)])
@@ -241,28 +238,21 @@ def test_tests_of_several_specimens_that_ask_for_different_constants(tmp_path, s
 
     C10 of 30 kPa and C01 of none were 34 [31, 37] and -6.6 [-8.7, -4.6] kPa.
     """
-    rng, far = np.random.default_rng(9), np.linspace(0.2, 8, 40)
-    text = (
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
-        '[material]\nmodel = "mooney-rivlin"\nincompressible = true\n'
-    )
+    rng, far, tests = np.random.default_rng(9), np.linspace(0.2, 8, 40), []
     kinds = zip(("tension", "compression"), (1.0, -1.0), (1.0, second), specimens, strict=True)
     for kind, sign, size, count in kinds:
-        stretch, lines = 1 + sign * far / 20, ["s,d,f"]
-        for number, stiff in enumerate(1 + 0.01 * rng.normal(size=count)):
-            force = sign * 160 * 0.03 * stiff * size * (stretch - stretch**-2)
-            read = force + 0.01 * rng.normal(size=40)
-            lines += [f"S{number},{d:.6f},{f:.6f}" for d, f in zip(far, read, strict=True)]
-        (tmp_path / f"{kind}.csv").write_text("\n".join(lines) + "\n")
-        text += (
-            f'[[tests]]\ntest = {{ kind = "{kind}" }}\nmeasurements = {{ file = "{kind}.csv", '
-            'block = "s", columns = { displacement = "d", force = "f" }, '
-            'units = { displacement = "mm", force = "N" } }\n'
-        )
-    (tmp_path / "c.toml").write_text(text)
-    judged = study.calibrate(tmp_path / "c.toml", data=tmp_path).adequacy
-    assert (judged.verdict == "describes") == (second == 1)
-    assert ("the tests ask for different constants" in judged.sentence) == (second != 1)
+        stretch = 1 + sign * far / 20
+        stiff = 1 + 0.01 * rng.normal(size=count)
+        force = np.outer(stiff, sign * 160 * 0.03 * size * (stretch - stretch**-2))
+        columns = {
+            "s": ("", np.repeat(range(count), far.size)),
+            "displacement": ("mm", np.tile(far, count)),
+            "force": ("N", (force + 0.01 * rng.normal(size=force.shape)).ravel()),
+        }
+        tests.append(recorded(tmp_path, kind, f'kind = "{kind}"', columns, ', block = "s"'))
+    told = judged_together(tmp_path, *tests)
+    assert (told.verdict == "describes") == (second == 1)
+    assert ("the tests ask for different constants" in told.sentence) == (second != 1)
 
 
 @pytest.mark.parametrize("clamp", [1.0, 0.9, 1.1])
@@ -273,47 +263,34 @@ def test_a_clamp_that_stretches_less_than_it_says_is_told(tmp_path, clamp):
     third = 1 / (a * b)
     first, second = 60 * (a - third**2 / a), 60 * (b - third**2 / b)  # kPa, of C10 = 30 kPa
     noise = 0.01 * first.max() * rng.normal(size=(2, 25))
-    rows = zip(a, a, first + noise[0], second + noise[1], strict=True)
-    (tmp_path / "a.csv").write_text(
-        "a,b,s,t\n" + "".join(",".join(f"{v:.6f}" for v in row) + "\n" for row in rows)
-    )
-    (tmp_path / "c.toml").write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
-        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
-        'test = { kind = "biaxial" }\n[tests.measurements]\nfile = "a.csv"\n'
-        'columns = { stretch_1 = "a", stretch_2 = "b", stress_1 = "s", stress_2 = "t" }\n'
-        'units = { stretch_1 = "1", stress_1 = "kPa" }\n'
-    )
-    judged = study.calibrate(tmp_path / "c.toml", data=tmp_path).adequacy
-    assert judged.verdict == ("describes" if clamp == 1 else "doubtful")
-    assert ("the directions ask for different constants" in judged.sentence) == (clamp != 1)
+    columns = {
+        **{"stretch_1": ("1", a), "stretch_2": ("1", a)},
+        **{"stress_1": ("kPa", first + noise[0]), "stress_2": ("kPa", second + noise[1])},
+    }
+    test = recorded(tmp_path, "a", 'kind = "biaxial"', columns)
+    told = judged_together(tmp_path, test, model="neo-hookean")
+    assert told.verdict == ("describes" if clamp == 1 else "doubtful")
+    assert ("the directions ask for different constants" in told.sentence) == (clamp != 1)
 
 
 def test_specimens_that_differ_more_than_their_repeats_are_no_lack_of_fit(tmp_path):
     """Three specimens of 18, 20 and 22 kPa, two repeats of each: every one is neo-Hookean."""
-    rng, rows = np.random.default_rng(4), []
-    for number, stiff in enumerate((0.9, 0.9, 1.0, 1.0, 1.1, 1.1)):
-        read = stiff * PULLED + rng.normal(0, 0.003, RAMP.size)
-        rows += [(number, d, f) for d, f in zip(RAMP, read, strict=True)]
-    label = 'block = "specimen"\naverage = ["repeat"]'
-    lines = ["specimen,repeat,no,d,f"]
-    lines += [f"S{no // 2},{no % 2},{no},{d:.6f},{f:.6f}" for no, d, f in rows]
-    calibrated(tmp_path, rows[: RAMP.size])
-    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
-    table = (tmp_path / "c.toml").read_text() + label + "\n"
-    (tmp_path / "c.toml").write_text(table)
-    told = study.calibrate(tmp_path / "c.toml", data=tmp_path).adequacy
+    noise = np.random.default_rng(4).normal(0, 0.003, (6, RAMP.size))
+    read = np.outer((0.9, 0.9, 1.0, 1.0, 1.1, 1.1), PULLED) + noise
+    number = np.repeat(range(6), RAMP.size)
+    told = calibrated(
+        tmp_path, read.ravel(), np.tile(RAMP, 6), ', block = "specimen", average = ["repeat"]',
+        specimen=number // 2, repeat=number % 2,
+    )  # fmt: skip
     assert (told.verdict, told.reasons) == ("describes", ())
 
 
-@pytest.mark.parametrize("more", ["", '[calibration]\nloss = "soft-l1"'])
+@pytest.mark.parametrize("more", ["", '[calibration]\nloss = "soft-l1"\n'])
 def test_a_specimen_that_slips_several_times_is_none_of_misread_rows(tmp_path, more):
     """At 5 and 7 mm it slips in its grips by .6 mm: no robust loss mends that."""
     held = RAMP - 0.6 * (RAMP > 5.05) - 0.6 * (RAMP > 7.05)
-    read = 200 * 0.02 * (1 + held / 30 - (1 + held / 30) ** -2)
-    read = read + np.random.default_rng(4).normal(0, 0.003, RAMP.size)
-    rows = [(1, d, f) for d, f in zip(RAMP, read, strict=True)]
-    told = calibrated(tmp_path, rows, more=more)
+    read = pulled(held) + np.random.default_rng(4).normal(0, 0.003, RAMP.size)
+    told = calibrated(tmp_path, read, more=more)
     assert told.verdict == "doubtful"
     assert "between rows 26 and 27, 5 and 5.2 mm; rows 36 and 37, 7 and 7.2 mm" in told.sentence
     assert "write the range before the first" in told.sentence
@@ -331,13 +308,9 @@ HELD = {
 @pytest.mark.parametrize("fault", [*HELD, "set to zero"])
 def test_a_force_that_goes_to_another_level_is_told(tmp_path, fault, noise):
     """Less than 3 % of the largest force at half travel: C10 was 3 % off, and "described"."""
-    held = HELD.get(fault, RAMP)
-    read = 200 * 0.02 * (1 + held / 30 - (1 + held / 30) ** -2)
-    read = read + 0.08 * (fault == "set to zero") * (RAMP > 4.9)
+    read = pulled(HELD.get(fault, RAMP)) + 0.08 * (fault == "set to zero") * (RAMP > 4.9)
     for seed in range(3):
-        errors_N = np.random.default_rng(seed).normal(0, noise, RAMP.size)  # noqa: N806
-        rows = [(1, d, f) for d, f in zip(RAMP, read + errors_N, strict=True)]
-        told = calibrated(tmp_path, rows)
+        told = calibrated(tmp_path, read + np.random.default_rng(seed).normal(0, noise, RAMP.size))
         assert told.verdict == ("describes" if fault == "nothing" else "doubtful")
         assert ("write the range before it" in told.sentence) == (fault != "nothing")
 
@@ -355,8 +328,7 @@ def test_a_robust_loss_hides_no_line_that_many_rows_follow(tmp_path, fault, loss
         "falls by .57 N": PULLED - 0.57 * torn,
         "drifts": PULLED + 0.05 * PULLED.max() * np.linspace(0, 1, RAMP.size),
     }[fault] + np.random.default_rng(7).normal(0, 0.0055, RAMP.size)
-    rows = [(1, d, f) for d, f in zip(RAMP, read, strict=True)]
-    told = calibrated(tmp_path, rows, more=f'[calibration]\nloss = "{loss}"')
+    told = calibrated(tmp_path, read, more=f'[calibration]\nloss = "{loss}"\n')
     assert told.verdict != "describes"
     seen = "drifts by" if fault == "drifts" else "between rows 30 and 31, 5.8 and 6 mm"
     assert seen in told.sentence
@@ -380,8 +352,7 @@ def test_a_robust_loss_leaves_a_misread_row_aside(loss):
     predict, d = predictor("reduced-polynomial", ("C10", "C20"), 30.0, sign=1.0, points=50)
     noise = row_noise(read, d, read)
     limit = LOSS_LIMIT * float(np.median(noise.deviation))
-    measured = [MeasuredCurve("one", Curve(d, read), loss=loss, limit_N=limit)]
-    found = with_serial_correlation(fit(predict, measured, ("C10", "C20"), [1e-2, 1e-3]), measured)
+    found, told = fitted(predict, d, read, tuple(TRUTH), (1e-2, 1e-3), loss=loss, limit_N=limit)
     other = least_squares(
         lambda v: predict(v)[0].force_N - read, [1e-2, 1e-3], loss=loss.replace("-", "_"),
         f_scale=limit, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14,
@@ -390,7 +361,6 @@ def test_a_robust_loss_leaves_a_misread_row_aside(loss):
     # within four standard errors of the truth, which are those of the other rows
     assert np.all(np.abs(found.values - list(TRUTH.values())) < 4 * found.standard_error)
     assert found.standard_error[0] < 0.01 * TRUTH["C10"]
-    told = adequacy(found, measured)
     assert told.verdict == "describes"
     assert [row.row for row in told.rows] == [31]
 
@@ -440,40 +410,27 @@ def test_a_study_names_the_specimen_in_another_unit(tmp_path):
     d = np.linspace(0, 4, 41)
     stretch = 1 - d / 20
     force = 0.8 * (stretch**-2 - stretch)  # N: neo-Hookean of 40 kPa on 20 mm^2
-    rows = ["specimen,displacement_mm,force_N"]
+    rows = ["specimen,d,f"]
     for name, size in (("S1", 1.0), ("S2", 1.05), ("S3", 1e3), ("S4", 0.95)):
         rows += [f"{name},{x:.3f},{size * f:.9g}" for x, f in zip(d, force, strict=True)]
     (tmp_path / "tests.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "unit.toml").write_text(
-        """schema = 1
-[study]
+        gauge("poisson_ratio = 0.4995", 'area = "20 mm^2"\nlength = "20 mm"\n')
+        + """[study]
 name = "unit"
-[specimen]
-shape = "homogeneous"
-area = "20 mm^2"
-length = "20 mm"
 [test]
 kind = "compression"
-[material]
-poisson_ratio = 0.4995
 [presets.energy.first]
 material.model = "neo-hookean"
 [presets.energy.second]
 material.model = "reduced-polynomial"
 material.order = 2
-[measurements]
-file = "tests.csv"
-columns = { displacement = "displacement_mm", force = "force_N" }
-units = { displacement = "mm", force = "N" }
-block = "specimen"
-points = 20
-range = ["1 %", "20 %"]
 [factors]
 energy = ["first", "second"]
-[[response]]
-name = "relative_rms_force_error"
-practical = "0.5 pp"
 """
+        + small.measured("tests.csv")
+        + 'block = "specimen"\npoints = 20\nrange = ["1 %", "20 %"]\n'
+        + small.responses(relative_rms_force_error="0.5 pp")
     )
     ran = study.run(
         tmp_path / "unit.toml", data=tmp_path, results=tmp_path / "r", reports=None, jobs=1

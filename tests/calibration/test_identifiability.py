@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from study import api
-from study.cli.app import run
 from study.ground.curve import Curve
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.identifiability import identify
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from tests.calibration.cylinder import predictor, virtual
+from tests.cli.small import case_file, recorded, success
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -102,47 +102,33 @@ model = "reduced-polynomial"
 {material}
 poisson_ratio = 0.495
 """
-LOADED = 'kind = "indentation"\nindenter = { shape = "sphere", radius = "10 mm" }\n'
-LOADED += 'interface = "frictionless"\n'
+LOADED = 'kind = "indentation", interface = "frictionless", displacement = "2 mm"'
+LOADED += ', indenter = { shape = "sphere", radius = "10 mm" }'
 
 
-def test_a_sphere_knows_a_combination_that_the_verb_says(tmp_path, capsys):
+def test_a_sphere_knows_a_combination_that_the_verb_says(tmp_path):
     """The weight of C20 from two simulations that differ in C20, without any gradient."""
     forces = []
     for twenty in (1.0, 1.2):
-        constants = f'C10 = "7 kPa"\nC20 = "{twenty} kPa"'
-        text = SPHERE.format(material=constants) + f'[test]\n{LOADED}displacement = "2 mm"\n'
-        (tmp_path / "problem.toml").write_text(text + "steps = 20\n", encoding="utf-8")
-        curve = api.solve(tmp_path / "problem.toml").curve
+        text = SPHERE.format(material=f'C10 = "7 kPa"\nC20 = "{twenty} kPa"')
+        curve = api.solve(case_file(tmp_path, f"test = {{ {LOADED}, steps = 20 }}\n", text)).curve
         forces.append(curve.force_N)
-    d, force = curve.displacement_mm, forces[0]
-    by_twenty = (forces[1] - forces[0]) / 0.2
+    force, by_twenty = forces[0], (forces[1] - forces[0]) / 0.2
     by_ten = (force - by_twenty) / 7.0  # the force is of first degree in all moduli
     weight = np.linalg.norm(by_twenty) / np.linalg.norm(by_ten)
-    noise = 0.002 * force[-1] * np.random.default_rng(7).normal(size=d.size)
-    rows = "".join(f"{x:.9f},{y:.9f}\n" for x, y in zip(d, force + noise, strict=True))
-    (tmp_path / "a.csv").write_text("d,f\n" + rows, encoding="utf-8")
-    text = SPHERE.format(material="order = 2") + (
-        "[[tests]]\n"
-        'test = { kind = "indentation", interface = "frictionless", '
-        'indenter = { shape = "sphere", radius = "10 mm" }, displacement = "2 mm" }\n'
-        'measurements = { file = "a.csv", columns = { displacement = "d", force = "f" }, '
-        'units = { displacement = "mm", force = "N" }, points = "raw" }\n'
-    )
-    (tmp_path / "c.toml").write_text(text, encoding="utf-8")
-    arguments = ["calibrate", str(tmp_path / "c.toml"), "--data", str(tmp_path)]
-    arguments += ["--results", str(tmp_path / "r")]
-    assert run([*arguments, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["identifiability"]
+    noise = 0.002 * force[-1] * np.random.default_rng(7).normal(size=force.size)
+    columns = {"displacement": ("mm", curve.displacement_mm), "force": ("N", force + noise)}
+    test = recorded(tmp_path, "a", LOADED, columns, ', points = "raw"')
+    path = case_file(tmp_path, SPHERE.format(material="order = 2"), test)
+    said = success("calibrate", path, "--data", tmp_path, "--results", tmp_path / "r").out
+    document = json.loads((tmp_path / "r/case/calibration.json").read_text())
+    found = document["identifiability"]
     stiff = found["directions"][0]
-    assert stiff["coefficients"]["C20"] == pytest.approx(
-        weight, rel=0.1
-    )  # it moves with C20 itself
+    # it moves with C20 itself
+    assert stiff["coefficients"]["C20"] == pytest.approx(weight, rel=0.1)
     assert weight < 0.05
     assert stiff["value"] == pytest.approx(7.0 + weight, rel=0.01)
     assert stiff["known"]
     assert not found["constants"]["C20"]["known"]
-    assert run(arguments) == 0
-    said = capsys.readouterr().out
     assert "C20 alone is not" in said
     assert f"{stiff['combination']} is known to" in said

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from study import api
-from study.cli.app import run
 from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.harness.design.load import load_calibration
@@ -20,6 +19,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.simulation.calibration import nuisance as propagation
 from study.simulation.calibration.calibrate_tests import calibrate
+from tests.cli.small import case_file, recorded, success
 from tests.fem.problems import long_verification
 from tests.runner.test_calibrate import RP2, SPECIMEN, case, write
 
@@ -80,15 +80,25 @@ def nuisance(tmp_path, text, rows=RAW, model="reduced-polynomial", order="order 
     return case(tmp_path, [rows], model, order, f"[nuisance]\n{text}\n")
 
 
+def write_rows(folder, d, force, noise, seed):
+    """Write a recording with noise, N."""
+    read = force + noise * np.random.default_rng(seed).normal(size=d.size)
+    rows = "".join(f"A,0,{x:.9g},{y:.9g}\n" for x, y in zip(d, read, strict=True))
+    (folder / "a.csv").write_text("s,r,d,f\n" + rows, encoding="utf-8")
+
+
+def pressed(model, constants, d):
+    """Force of the cylinder between plates that slip, N."""
+    material = Material(model, constants, poisson_ratio=0.4995)
+    return closed_form.compression(SPECIMEN, material, d).force_N
+
+
 @pytest.mark.usefixtures("undrawn")
-def test_sizes_are_propagated_as_the_closed_form_says(tmp_path, capsys):
+def test_sizes_are_propagated_as_the_closed_form_says(tmp_path):
     """C10 goes with 1 / r^2: 1 % of the radius is 2 % of C10, whatever the noise."""
     write(tmp_path / "a.csv", "neo-hookean", {"C10": 7e-3}, noise=1e-4)
     path = nuisance(tmp_path, 'specimen.radius = "1 %"', model="neo-hookean", order="")
-    arguments = ["calibrate", str(path), "--data", str(tmp_path)]
-    arguments += ["--results", str(tmp_path / "results")]
-    assert run(arguments) == 0
-    said = capsys.readouterr().out
+    said = success("calibrate", path, "--data", tmp_path, "--results", tmp_path / "results").out
     assert "specimen.radius" in said
     assert "share in C10" in said
     document = json.loads((tmp_path / "results/calibration/calibration.json").read_text())
@@ -102,17 +112,15 @@ def test_sizes_are_propagated_as_the_closed_form_says(tmp_path, capsys):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_offset_and_zero_of_a_test_are_found(tmp_path, capsys):
+def test_offset_and_zero_of_a_test_are_found(tmp_path):
     """A test begun 0.3 mm late by a cell that reads 0.2 N too much."""
-    write(tmp_path / "a.csv", "reduced-polynomial", RP2)
     d = np.linspace(0.0, 8.6, 173)
-    material = Material("reduced-polynomial", RP2, poisson_ratio=0.4995)
-    force = closed_form.homogeneous(SPECIMEN, material, d + 0.3).force_N + 0.2
-    force += 0.02 * np.random.default_rng(7).normal(size=d.size)
-    rows = "".join(f"A,0,{x:.6f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
-    (tmp_path / "a.csv").write_text("s,r,d,f\n" + rows, encoding="utf-8")
+    write_rows(tmp_path, d, pressed("reduced-polynomial", RP2, d + 0.3) + 0.2, 0.02, 7)
     declared = 'displacement_offset = "0.3 mm"\nforce_zero = "0.3 N"'
-    path = nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "28 %"]'})
+    rows = {**RAW, "range": '["1 %", "28 %"]'}
+    path = nuisance(tmp_path, declared, rows)
+    said = success("calibrate", path, "--data", tmp_path, "--results", tmp_path / "r").out
+    assert "pseudo-observation" in said
     found = api.calibrate(path, data=tmp_path, profiles=True)
     assert found.converged
     for one, true in zip(found.fit.nuisance, (0.3, 0.2), strict=True):
@@ -121,12 +129,8 @@ def test_offset_and_zero_of_a_test_are_found(tmp_path, capsys):
     for pair, true in zip(found.fit.ci95, RP2.values(), strict=True):
         assert pair[0] <= true <= pair[1]
     # without them the constants are beside the truth by many of their errors
-    path = case(tmp_path, [{**RAW, "range": '["1 %", "28 %"]'}])
-    blind = api.calibrate(path, data=tmp_path).fit
+    blind = api.calibrate(case(tmp_path, [rows]), data=tmp_path).fit
     assert not blind.ci95[0, 0] <= 7e-3 <= blind.ci95[0, 1]
-    assert run(["calibrate", str(nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "28 %"]'})),
-                "--data", str(tmp_path), "--results", str(tmp_path / "r")]) == 0  # fmt: skip
-    assert "pseudo-observation" in capsys.readouterr().out
 
 
 def test_weights_that_have_not_settled_are_no_answer(tmp_path, monkeypatch):
@@ -143,25 +147,17 @@ def test_weights_that_have_not_settled_are_no_answer(tmp_path, monkeypatch):
 
 def test_friction_between_two_plates_is_the_mixture_of_both(tmp_path):
     """Rows made of 70 % of the closed form and 30 % of a bonded simulation."""
-    write(tmp_path / "a.csv", "neo-hookean", {"C10": 7e-3}, depth=6.0)
-    text = case(tmp_path, [{**RAW, "range": '["1 %", "20 %"]'}], "neo-hookean", "").read_text()
-    problem = text[: text.index("[[tests]]")].replace(
-        '"neo-hookean"', '"neo-hookean"\nC10 = "7 kPa"'
-    )
-    problem += (
-        '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "6 mm"\nsteps = 40\n'
-    )
-    (tmp_path / "problem.toml").write_text(problem, encoding="utf-8")
-    bonded = api.solve(tmp_path / "problem.toml").curve
-    d = bonded.displacement_mm
-    material = Material("neo-hookean", {"C10": 7e-3}, poisson_ratio=0.4995)
-    free = closed_form.homogeneous(SPECIMEN, material, d).force_N
-    force = 0.7 * free + 0.3 * bonded.force_N
-    force = force + 0.01 * np.random.default_rng(7).normal(size=d.size)
-    rows = "".join(f"A,0,{x:.6f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
-    (tmp_path / "a.csv").write_text("s,r,d,f\n" + rows, encoding="utf-8")
+    rows = {**RAW, "range": '["1 %", "20 %"]'}
     declared = "friction = { value = 0.2, uncertainty = 0.2 }"
-    path = nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "20 %"]'}, "neo-hookean", "")
+    path = nuisance(tmp_path, declared, rows, "neo-hookean", "")
+    head = path.read_text().partition("[[tests]]")[0]
+    (tmp_path / "problem.toml").write_text(
+        head.replace('"neo-hookean"', '"neo-hookean"\nC10 = "7 kPa"')
+        + '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "6 mm"\nsteps = 40\n'
+    )
+    bonded = api.solve(tmp_path / "problem.toml").curve
+    free = pressed("neo-hookean", {"C10": 7e-3}, bonded.displacement_mm)
+    write_rows(tmp_path, bonded.displacement_mm, 0.7 * free + 0.3 * bonded.force_N, 0.01, 7)
     found = api.calibrate(path, data=tmp_path)
     (friction,) = found.fit.nuisance
     # a simulation of 10 steps interpolates one of 40; the rest is noise
@@ -174,23 +170,19 @@ def test_friction_between_two_plates_is_the_mixture_of_both(tmp_path):
 def test_coverage_is_92_to_98_percent(tmp_path):
     """Share of intervals that hold the truth, offset, zero and radius drawn from their priors."""
     rng, hits, studies = np.random.default_rng(2011), np.zeros(2), 1000
-    write(tmp_path / "a.csv", "reduced-polynomial", RP2)
     declared = 'displacement_offset = "0.1 mm"\nforce_zero = "0.1 N"\nspecimen.radius = "0.1 mm"'
     path = nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "28 %"]'})
-    config, material = (
-        load_calibration(path),
+    config, truth = load_calibration(path), np.array(list(RP2.values()))
+    material, d = (
         Material("reduced-polynomial", RP2, poisson_ratio=0.4995),
+        np.linspace(0.0, 8.6, 60),
     )
-    d = np.linspace(0.0, 8.6, 60)
     for _ in range(studies):
         offset, zero, radius = rng.normal(size=3) * [0.1, 0.1, 0.1]
         specimen = Cylinder(25.0 + radius, 30.0)
-        force = closed_form.homogeneous(specimen, material, d + offset).force_N + zero
-        force = force + 0.1 * rng.normal(size=d.size)
-        rows = "".join(f"A,0,{x:.6f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
-        (tmp_path / "a.csv").write_text("s,r,d,f\n" + rows, encoding="utf-8")
+        force = closed_form.compression(specimen, material, d + offset).force_N + zero
+        write_rows(tmp_path, d, force, 0.1, rng)
         found = calibrate(config, tmp_path).fit
-        truth = np.array(list(RP2.values()))
         hits += (found.ci95[:, 0] <= truth) & (truth <= found.ci95[:, 1])
     found = hits / studies
     assert np.all((found >= 0.92) & (found <= 0.98)), found
@@ -213,70 +205,58 @@ def test_what_means_nothing_is_refused_with_its_mend(tmp_path, text, said):
 
 def test_a_radius_of_an_indenter_moves_the_modulus_as_hertz_says(tmp_path):
     """F = 4/3 E* sqrt(R) d^1.5: 2 % of the radius is 1 % of C10, to the order of the strain."""
-    head = 'schema = 1\n[specimen]\nshape = "cylinder"\nradius = "25 mm"\nheight = "30 mm"\n'
-    head += '[model]\nmesh = "coarse"\n[material]\nmodel = "neo-hookean"\npoisson_ratio = 0.495\n'
     loaded = 'kind = "indentation", interface = "frictionless", displacement = "0.6 mm"'
-    loaded = f'{{ {loaded}, indenter = {{ shape = "sphere", radius = "10 mm" }} }}'
-    (tmp_path / "p.toml").write_text(
-        head.replace("[material]", "[material]\nC10 = '7 kPa'") .replace(
-            "schema = 1\n", f"schema = 1\ntest = {loaded}\n"), encoding="utf-8")  # fmt: skip
-    curve = api.solve(tmp_path / "p.toml").curve
+    loaded += ', indenter = { shape = "sphere", radius = "10 mm" }'
+    head = f"schema = 1\ntest = {{ {loaded} }}\n" + '[model]\nmesh = "coarse"\n'
+    head += '[specimen]\nshape = "cylinder"\nradius = "25 mm"\nheight = "30 mm"\n'
+    head += '[material]\nmodel = "neo-hookean"\npoisson_ratio = 0.495\n'
+    curve = api.solve(case_file(tmp_path, head, 'C10 = "7 kPa"\n')).curve
     force = curve.force_N * (1 + 1e-4 * np.random.default_rng(1).normal(size=len(curve)))
-    rows = "".join(f"{x:.9f},{y:.9f}\n" for x, y in zip(curve.displacement_mm, force, strict=True))
-    (tmp_path / "a.csv").write_text("d,f\n" + rows, encoding="utf-8")
-    data = 'file = "a.csv", columns = { displacement = "d", force = "f" }, points = "raw"'
-    data += ', units = { displacement = "mm", force = "N" }'
+    columns = {"displacement": ("mm", curve.displacement_mm), "force": ("N", force)}
+    test = recorded(tmp_path, "a", loaded, columns, ', points = "raw"')
     declared = '[nuisance]\n"test.indenter.radius" = "0.2 mm"\n'
-    tests = f"[[tests]]\ntest = {loaded}\nmeasurements = {{ {data} }}\n"
-    (tmp_path / "c.toml").write_text(head + tests + declared, encoding="utf-8")
-    found = api.calibrate(tmp_path / "c.toml", data=tmp_path).fit
+    head = head.replace(f"test = {{ {loaded} }}\n", "")
+    found = api.calibrate(case_file(tmp_path, head, test, declared), data=tmp_path).fit
     assert found.standard_error[0] / found.values[0] == pytest.approx(0.01, rel=0.1)
     assert found.nuisance[0].shares["C10"] > 0.99
+
+
+def soft(d):
+    """Force of an incompressible cylinder of 5 kPa, N."""
+    material = Material("neo-hookean", {"C10": 5e-3}, incompressible=True)
+    return -np.pi * 25**2 * response(material, "uniaxial", 1 - d / 30).stress
 
 
 def shifted(tmp_path, offset, rng):
     """Compression of 5 kPa with an offset of the plate and a zero of the load cell, .02 N noise."""
     d = np.linspace(0.1, 9.0, 60)
-    material = Material("neo-hookean", {"C10": 5e-3}, incompressible=True)
-    force = -np.pi * 25**2 * response(material, "uniaxial", 1 - (d + offset) / 30).stress
-    force = force + 0.15 + 0.02 * rng.normal(size=d.size)
-    rows = "\n".join(f"{a:.9g},{b:.9g},1" for a, b in zip(d, force, strict=True))
-    (tmp_path / "a.csv").write_text(f"d,f,r\n{rows}\n", encoding="utf-8")
+    write_rows(tmp_path, d, soft(d + offset) + 0.15, 0.02, rng)
     text = 'displacement_offset = "0.5 mm"\nforce_zero = "0.2 N"'
-    return api.calibrate(
-        nuisance(tmp_path, text, {"points": '"raw"'}, "neo-hookean", ""), data=tmp_path
-    )
+    path = nuisance(tmp_path, text, {"points": '"raw"'}, "neo-hookean", "")
+    return api.calibrate(path, data=tmp_path)
 
 
 @pytest.mark.parametrize("sigmas", [-2, -1, 0.4, 1, 2])
 def test_an_offset_is_found_wherever_its_prior_lets_it_be(tmp_path, sigmas):
-    rng = np.random.default_rng(int(10 + sigmas))
-    for _ in range(3):
-        found = shifted(tmp_path, 0.5 * sigmas, rng)
-        offset, zero = found.fit.nuisance
-        assert found.converged
-        # noise of .02 N against .2 N: the rows find all three; four standard errors
-        assert abs(offset.value - 0.5 * sigmas) < 4 * offset.standard_error
-        assert abs(zero.value - 0.15) < 4 * zero.standard_error
-        assert abs(found.fit.values[0] - 5e-3) < 4 * found.fit.standard_error[0]
-        assert found.fit.standard_error[0] < 0.03 * 5e-3
+    found = shifted(tmp_path, 0.5 * sigmas, np.random.default_rng(int(10 + sigmas)))
+    offset, zero = found.fit.nuisance
+    assert found.converged
+    # noise of .02 N against .2 N: the rows find all three; four standard errors
+    assert abs(offset.value - 0.5 * sigmas) < 4 * offset.standard_error
+    assert abs(zero.value - 0.15) < 4 * zero.standard_error
+    assert abs(found.fit.values[0] - 5e-3) < 4 * found.fit.standard_error[0]
+    assert found.fit.standard_error[0] < 0.03 * 5e-3
 
 
 def test_a_test_may_begin_late_where_its_offset_is_fitted(tmp_path):
     """Contact is 1 mm behind the recorded zero, two standard deviations; 12.5 mm is a position."""
-    text = 'displacement_offset = "0.5 mm"'
-    for late, is_read in ((1.0, True), (12.5, False)):
-        d = np.linspace(0.05, 9.0, 60)
-        material = Material("neo-hookean", {"C10": 5e-3}, incompressible=True)
-        force = -np.pi * 25**2 * response(material, "uniaxial", 1 - d / 30).stress
-        force = force + 0.02 * np.random.default_rng(1).normal(size=d.size)
-        rows = "\n".join(f"{a + late:.9g},{b:.9g},1" for a, b in zip(d, force, strict=True))
-        (tmp_path / "a.csv").write_text(f"d,f,r\n{rows}\n", encoding="utf-8")
-        path = nuisance(tmp_path, text, {"points": '"raw"'}, "neo-hookean", "")
-        if not is_read:
-            with pytest.raises(InputError, match="no specimen that is unloaded at 0 mm"):
-                api.calibrate(path, data=tmp_path)
-            continue
-        fitted = api.calibrate(path, data=tmp_path).fit
-        assert abs(fitted.nuisance[0].value + late) < 4 * fitted.nuisance[0].standard_error
-        assert abs(fitted.values[0] - 5e-3) < 4 * fitted.standard_error[0]
+    text, d = 'displacement_offset = "0.5 mm"', np.linspace(0.05, 9.0, 60)
+    path = nuisance(tmp_path, text, {"points": '"raw"'}, "neo-hookean", "")
+    write_rows(tmp_path, d + 1.0, soft(d), 0.02, 1)
+    found = api.calibrate(path, data=tmp_path).fit
+    (offset,) = found.nuisance
+    assert abs(offset.value + 1.0) < 4 * offset.standard_error
+    assert abs(found.values[0] - 5e-3) < 4 * found.standard_error[0]
+    write_rows(tmp_path, d + 12.5, soft(d), 0.02, 1)
+    with pytest.raises(InputError, match="no specimen that is unloaded at 0 mm"):
+        api.calibrate(path, data=tmp_path)

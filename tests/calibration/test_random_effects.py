@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.cli.app import run
 from study.ground.curve import Curve
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import population, with_serial_correlation
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from tests.calibration.cylinder import AREA, predictor
+from tests.cli.small import success
 from tests.fem.problems import LONG
 from tests.runner.test_calibrate import case
 
@@ -65,7 +65,7 @@ def test_one_specimen_is_no_population():
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_verb_gives_the_mean_of_specimens_as_by_hand(tmp_path, capsys):
+def test_verb_gives_the_mean_of_specimens_as_by_hand(tmp_path):
     """``study calibrate`` of 8 specimens: C10 of each by regression through the origin."""
     rng = np.random.default_rng(2011)
     forces = [C10 * (1 + SCATTER * rng.normal()) * SLOPE for _ in range(8)]
@@ -75,10 +75,8 @@ def test_verb_gives_the_mean_of_specimens_as_by_hand(tmp_path, capsys):
     test = {"points": '"raw"', "range": '["0.4 %", "30 %"]', "more": ', block = "s"'}
     more = '[calibration]\nspecimens = "each"\n'
     path = case(tmp_path, [test], "neo-hookean", "", more)
-    arguments = ["calibrate", str(path), "--data", str(tmp_path)]
-    arguments += ["--results", str(tmp_path / "results")]
-    assert run(arguments) == 0
-    assert "95 % of the next specimen" in capsys.readouterr().out
+    arguments = ("calibrate", path, "--data", tmp_path, "--results", tmp_path / "results")
+    assert "95 % of the next specimen" in success(*arguments).out
     document = json.loads((tmp_path / "results/calibration/calibration.json").read_text())
     found = document["population"]["C10"]
     stretch = 1 - D / 30
@@ -92,9 +90,8 @@ def test_verb_gives_the_mean_of_specimens_as_by_hand(tmp_path, capsys):
     half = 2.3646 * deviation / np.sqrt(8)  # t of 7 degrees of freedom
     assert found["mean_ci95"] == pytest.approx([mean - half, mean + half], rel=5e-3)
     assert found["next_ci95"] == pytest.approx([mean - 3 * half, mean + 3 * half], rel=5e-3)
-    pooling = ["--set", "calibration.specimens=pooled"]
-    assert run([*arguments, *pooling]) == 0
-    assert 'write calibration.specimens = "each"' in "".join(capsys.readouterr())
+    pooled = success(*arguments, "--set", "calibration.specimens=pooled")
+    assert 'write calibration.specimens = "each"' in pooled.out + pooled.err
 
 
 def test_values_are_shrunk_to_the_mean_by_their_own_errors():

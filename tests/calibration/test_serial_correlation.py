@@ -1,18 +1,17 @@
 """Intervals from recorded rows: coverage by simulation, and answers known otherwise."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 
-from study.cli.app import run
 from study.ground.curve import Curve
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.calibration.serial_correlation import Series, intervals
-from tests.calibration.cylinder import AREA, predictor
+from tests.calibration.cylinder import AREA, autoregression, predictor
+from tests.cli.small import success
 from tests.fem.problems import LONG
 from tests.runner.test_calibrate import case
 
@@ -20,14 +19,6 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 ENERGIES = {"neo-hookean": {"C10": 7e-3}, "reduced-polynomial": {"C10": 7e-3, "C20": 1.5e-3}}
 ROWS, DEPTH = 60, 9.0
-
-
-def autoregression(rho, rng, rows=ROWS):
-    """Stationary errors of unit variance."""
-    error = rng.normal(size=rows)
-    for t in range(1, rows):
-        error[t] = rho * error[t - 1] + np.sqrt(1 - rho**2) * error[t]
-    return error
 
 
 MANY = [
@@ -54,7 +45,7 @@ def test_intervals_cover_the_constants(model, points, rho, tests, least, most):
     predict = predictor(model, names, DEPTH, places=places)[0]
     rng, hits = np.random.default_rng(2011), np.zeros(truth.size)
     for _ in range(tests):
-        rows = Curve(d, exact + 0.1 * autoregression(rho, rng))
+        rows = Curve(d, exact + 0.1 * autoregression(rho, rng, ROWS))
         curve = Curve(places, np.interp(places, d, rows.force_N), recorded=(rows,))
         measured = [MeasuredCurve("virtual", curve)]
         found = with_serial_correlation(fit(predict, measured, names, truth), measured)
@@ -148,7 +139,7 @@ def test_the_interval_of_a_mixture_of_cauchy_errors_holds_95_percent():
         assert found.mixture.weight @ np.arctan(t) * 2 / np.pi == pytest.approx(0.95, rel=1e-12)
 
 
-def test_verb_gives_the_same_interval_however_the_rows_are_resampled(tmp_path, capsys):
+def test_verb_gives_the_same_interval_however_the_rows_are_resampled(tmp_path):
     """``study calibrate --json`` of 60 rows: half width of a straight regression at any points."""
     _, d = predictor("neo-hookean", ("C10",), DEPTH, points=ROWS)
     rng = np.random.default_rng(2011)
@@ -167,9 +158,9 @@ def test_verb_gives_the_same_interval_however_the_rows_are_resampled(tmp_path, c
     for points in ('"raw"', 60, 200, 1000):
         test = {"points": points, "more": "", "range": '["1 %", "30 %"]'}
         path = case(tmp_path, [test], "neo-hookean", "")
-        arguments = ["calibrate", str(path), "--data", str(tmp_path), "--json"]
-        assert run([*arguments, "--results", str(tmp_path / "results")]) == 0
-        document = json.loads(capsys.readouterr().out)
+        document = success(
+            "calibrate", path, "--data", tmp_path, "--json", "--results", tmp_path / "results"
+        ).json
         low, high = document["parameters"]["C10"]["ci95"]
         half[points] = 1e-3 * (high - low) / 2
         assert document["serial_correlation"]["rows"] == 59  # the first lies at 0.5 %

@@ -7,6 +7,7 @@ from scipy.stats import binom
 from study.mechanics.forward.contact_law import Layer, force_law, limits
 from study.mechanics.indentation.indentation_modulus import fit_modulus, median_estimate
 from study.mechanics.setup.geometry import Cone, Flat, Sphere
+from tests.calibration.cylinder import autoregression
 
 TRUTH_MPA = 0.02
 LAYER = Layer(10.0, 0.5)
@@ -16,11 +17,8 @@ LAW = force_law(Sphere(5.0), LAYER, 1.2)
 def curve(rng, n, correlation=0.0, contact=0.0):
     """Force by the law, 2 % of the last one as noise of a given correlation."""
     d = np.linspace(0.5 / n, 0.5 + contact, n)
-    noise = rng.normal(size=n)
-    for i in range(1, n):
-        noise[i] = correlation * noise[i - 1] + np.sqrt(1 - correlation**2) * noise[i]
     force = TRUTH_MPA / 0.75 * LAW.force(d - contact)
-    return d, force + 0.02 * force[-1] * noise
+    return d, force + 0.02 * force[-1] * autoregression(correlation, rng, n)
 
 
 def fitted(d, f, **options):

@@ -4,32 +4,28 @@ from pathlib import Path
 
 from study.harness.design import load
 from study.mechanics.measurement.measurement_section import Range
+from tests.cli.small import measured
 
-TEXT = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "25 mm"
-height = "30 mm"
-[model]
-space = "axisymmetric"
-element_order = "quadratic"
-[material]
-model = "reduced-polynomial"
-order = 2
-poisson_ratio = 0.4995
-[[tests]]
-role = "fit"
+PRESSED = """[[tests]]
 test = { kind = "compression", interface = "frictionless", displacement = "6 mm" }
-measurements = { file = "a.csv", columns = { displacement = "d", force = "f" }, units = { displacement = "mm", force = "N" }, range = ["1 %", "20 %"] }
+role = "fit"
 weight = "scatter"
-[[tests]]
-role = "held-out"
+"""
+SMALLER = """[[tests]]
 test = { kind = "compression", interface = "bonded" }
 specimen = { shape = "cylinder", radius = "10 mm", height = "20 mm" }
-measurements = { file = "b.csv", columns = { displacement = "d", force = "f" }, units = { displacement = "mm", force = "N" }, range = ["1 %", "20 %"] }
+role = "held-out"
 weight = 2.5
-"""  # noqa: E501
+"""
+TEXT = (
+    'schema = 1\nspecimen = { shape = "cylinder", radius = "25 mm", height = "30 mm" }\n'
+    'model = { space = "axisymmetric", element_order = "quadratic" }\n'
+    'material = { model = "reduced-polynomial", order = 2, poisson_ratio = 0.4995 }\n'
+    + "".join(
+        test + measured(file).replace("[m", "[tests.m") + 'range = ["1 %", "20 %"]\n'
+        for test, file in ((PRESSED, "a.csv"), (SMALLER, "b.csv"))
+    )
+)
 CONICAL = (Path(__file__).parents[2] / "designs" / "conical-indentation.toml").read_text()
 
 

@@ -159,29 +159,20 @@ def test_a_scheduler_that_is_none_is_refused(place, said, monkeypatch):
         list(Cluster(perform, place).run([]))
 
 
-@pytest.fixture(scope="module")
-def certificates(tmp_path_factory):
-    """Certificates of an authority of our own, by its name."""
-    if shutil.which("openssl") is None:
-        pytest.skip("openssl, which makes the certificates, is not installed")
-    folder = tmp_path_factory.mktemp("certificates")
-
-    def made(name):
-        key, cert = folder / f"{name}.key", folder / f"{name}.pem"
-        subprocess.run(
-            ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2",
-             "-subj", f"/CN={name}", "-keyout", str(key), "-out", str(cert)],
-            check=True, capture_output=True,
-        )  # fmt: skip
-        return ["--tls-ca-file", str(cert), "--tls-cert", str(cert), "--tls-key", str(key)]
-
-    return made
+def certificate(folder, name):
+    """Options of Dask with a certificate that is its own authority."""
+    key, cert = folder / f"{name}.key", folder / f"{name}.pem"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2",
+         "-subj", f"/CN={name}", "-keyout", str(key), "-out", str(cert)],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    return ["--tls-ca-file", str(cert), "--tls-cert", str(cert), "--tls-key", str(key)]
 
 
-def test_an_encrypted_cluster_lets_in_those_with_its_certificate(
-    tmp_path, certificates, monkeypatch
-):
-    own, foreign = certificates("own"), certificates("foreign")
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
+def test_an_encrypted_cluster_lets_in_those_with_its_certificate(tmp_path, monkeypatch):
+    own, foreign = certificate(tmp_path, "own"), certificate(tmp_path, "foreign")
     with loopback(tmp_path, workers=1, tls=own) as made:
         with dask.config.set(_tls(own)):
             assert run(made, [task("a")])["a"].status == "converged"

@@ -88,10 +88,8 @@ def test_a_specimen_from_a_file_keeps_its_surface(body, tmp_path):
 
 def test_the_edge_of_a_flat_end_keeps_its_nodes():
     for space, count in (("axisymmetric", 1), ("3d", 5)):
-        regular = build_mesh(problem(space, "simplex", "flat", Block(60.0, 60.0, 40.0)).setup)
-        moved = build_mesh(
-            seeded(problem(space, "simplex", "flat", Block(60.0, 60.0, 40.0)), 3).setup
-        )
+        flat = problem(space, "simplex", "flat", Block(60.0, 60.0, 40.0))
+        regular, moved = (build_mesh(one.setup) for one in (flat, seeded(flat, 3)))
         on_top = regular.points[:, -1] == regular.height_mm
         rho = np.linalg.norm(regular.points[:, :-1], axis=1)
         edge = on_top & (np.abs(rho - 7.0) < 1e-6)
@@ -122,17 +120,12 @@ def test_the_scatter_falls_with_the_element_size(order):
 NEEDLE = indentation(Cone(30.0, 1.0), 1.0, material=GEL, mesh="coarse")
 
 
-def test_a_material_or_the_number_of_steps_asks_for_no_new_mesh():
+def test_what_shapes_a_mesh_asks_for_another_and_nothing_else_does():
     made = build_mesh(NEEDLE.setup)
     assert build_mesh(replace(NEEDLE, material=YEOH).setup) is made
     assert build_mesh(replace(NEEDLE, test=replace(NEEDLE.test, steps=3)).setup) is made
-
-
-def test_whatever_shapes_a_mesh_asks_for_another():
-    made = build_mesh(NEEDLE.setup)
     deeper = replace(NEEDLE, test=replace(NEEDLE.test, displacement_mm=2.0))
     finer = replace(NEEDLE, model=replace(NEEDLE.model, mesh="medium"))
-    seeded = replace(NEEDLE, model=replace(NEEDLE.model, mesh_seed=3))
-    names = {build_mesh(one.setup).digest() for one in (NEEDLE, deeper, finer, seeded)}
-    assert len(names) == 4
+    every = (NEEDLE, deeper, finer, seeded(NEEDLE, 3))
+    assert len({build_mesh(one.setup).digest() for one in every}) == 4
     assert build_mesh(NEEDLE.setup).digest() == made.digest()

@@ -75,6 +75,17 @@ def tangent():
     return system.pattern, system.data
 
 
+def factorized(pattern, data, monkeypatch):
+    """Solver and factors in single precision, which it may correct, and a load."""
+    use(monkeypatch, single=True)
+    solver = make_solver(pattern, "pardiso", corrected=True)
+    kept = KeptFactors(solver, pattern)
+    solver.factorize(data)
+    kept.renewed(NOWHERE)
+    assert not solver.exact
+    return solver, kept, np.random.default_rng(3).normal(size=pattern.free.size)
+
+
 def residual(pattern, data, x, b):
     left = b - symmetric_product(pattern.indptr, pattern.indices, data, x)
     return float(np.linalg.norm(left) / np.linalg.norm(b))
@@ -82,12 +93,7 @@ def residual(pattern, data, x, b):
 
 def test_single_precision_is_corrected_to_what_is_asked_for(tangent, monkeypatch):
     pattern, data = tangent
-    use(monkeypatch, single=True)
-    solver = make_solver(pattern, "pardiso", corrected=True)
-    kept, b = KeptFactors(solver, pattern), np.random.default_rng(3).normal(size=pattern.free.size)
-    solver.factorize(data)
-    kept.renewed(NOWHERE)
-    assert not solver.exact
+    solver, kept, b = factorized(pattern, data, monkeypatch)
     assert residual(pattern, data, solver.solve(b), b) > 1e-7
     for tolerance in (1e-3, 1e-6, 1e-10):
         x = kept.solve_afresh(data, b, np.ones(b.size), tolerance)
@@ -99,7 +105,6 @@ def test_single_precision_is_corrected_to_what_is_asked_for(tangent, monkeypatch
 def test_what_single_precision_cannot_do_is_done_in_double(tangent, monkeypatch):
     """Pairs [[1, 1], [1, 1 + d]] whose d of some 1e-7 is gone in seven digits."""
     pattern, _ = tangent
-    use(monkeypatch, single=True)
     rng, size = np.random.default_rng(4), pattern.free.size
     data, row = np.zeros(pattern.indices.size), 0
     while row < size:
@@ -110,11 +115,7 @@ def test_what_single_precision_cannot_do_is_done_in_double(tangent, monkeypatch)
             data[pattern.indptr[row + 1]] = 1.0 + rng.uniform(1e-7, 1e-6)
             row += 1
         row += 1
-    b = rng.normal(size=size)
-    solver = make_solver(pattern, "pardiso", corrected=True)
-    kept = KeptFactors(solver, pattern)
-    solver.factorize(data)
-    kept.renewed(NOWHERE)
+    solver, kept, b = factorized(pattern, data, monkeypatch)
     x = kept.solve_afresh(data, b, np.ones(size), 1e-10)
     assert residual(pattern, data, x, b) < 1e-7  # 1e-16 over d
     assert solver.exact

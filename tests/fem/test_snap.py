@@ -75,7 +75,7 @@ def test_a_local_bulk_modulus_changes_no_patch():
     assert np.abs(forces[0][n_u:]).max() < 1e-12
 
 
-@pytest.mark.slow
+@long_verification
 @pytest.mark.parametrize("material", [RUBBER, BY_RATIO], ids=["bulk given", "ratio given"])
 def test_taylor_through_3d_contact(material):
     """V41 in 3D: |F(p + h dp) - F(p) - h g.dp| falls with slope 2 while contact stays."""

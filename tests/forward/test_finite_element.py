@@ -17,12 +17,8 @@ from study.simulation.virtual_specimens import usual_generator, write_virtual
 
 DESIGN = """
 schema = 1
-[study]
-name = "cone"
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "10 mm"
+study = { name = "cone" }
+specimen = { shape = "cylinder", radius = "10 mm", height = "10 mm" }
 [test]
 kind = "indentation"
 interface = "frictionless"
@@ -32,11 +28,9 @@ steps = 4
 indenter = { shape = "sphere", radius = "3 mm" }
 [material]
 poisson_ratio = 0.4995
-[presets.material.neo-hookean]
-model = "neo-hookean"
-[presets.material.reduced-polynomial-2]
-model = "reduced-polynomial"
-order = 2
+[presets.material]
+neo-hookean = { model = "neo-hookean" }
+reduced-polynomial-2 = { model = "reduced-polynomial", order = 2 }
 [measurements]
 files = "indentation-{specimen}.csv"
 columns = { displacement = "displacement_mm", force = "force_N" }
@@ -46,9 +40,7 @@ range = ["0.25 mm", "1 mm"]
 points = 20
 [calibration]
 method = "auto"
-[calibration.problem.test]
-kind = "compression"
-interface = "frictionless"
+problem.test = { kind = "compression", interface = "frictionless" }
 [calibration.problem.measurements]
 files = "compression-{specimen}.csv"
 columns = { displacement = "displacement_mm", force = "force_N" }
@@ -76,7 +68,8 @@ def work(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def whole(work, tmp_path_factory):
-    return finished(work, tmp_path_factory.mktemp("whole"))
+    """Records of one worker: two may both solve a cell, each in a time of its own."""
+    return finished(work, tmp_path_factory.mktemp("whole"), jobs=1)
 
 
 def finished(work, folder, jobs=2):
@@ -130,10 +123,8 @@ def test_a_resumed_study_gives_the_same_digits(work, whole, tmp_path):
     assert both[0] == both[1]
 
 
-def test_seconds_of_a_case_are_those_of_the_cell_alone(work, tmp_path):
-    """With one worker: two may both solve a cell, each in a time of its own."""
-    records = finished(work, tmp_path, jobs=1)
-    for levels in {r.levels["material"] for r in records}:
-        cell = [r.timings["predict"] for r in records if r.levels["material"] == levels]
+def test_seconds_of_a_case_are_those_of_the_cell_alone(whole):
+    for levels in {r.levels["material"] for r in whole}:
+        cell = [r.timings["predict"] for r in whole if r.levels["material"] == levels]
         assert max(cell) > 0
         assert min(cell) == max(cell)

@@ -7,7 +7,7 @@ from study import api
 from study.mechanics.material.homogeneous import LOADINGS, MODES, first_piola, response
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import stability
-from tests.cli.small import study
+from tests.cli.small import case_file, gauge, recorded, success
 from tests.material.modes import FOAM
 
 NU, CONSTANTS = FOAM.poisson_ratio, FOAM.constants
@@ -48,12 +48,18 @@ def by_differences(energy, F, h=1e-5):
     return out
 
 
+def problem(folder, nu=NU):
+    foam = 'model = "ogden-hill"\nmu = ["30 kPa", "10 kPa"]\nalpha = [4.0, -2.5]\n'
+    pressed = '[test]\nkind = "compression"\ndisplacement = "10 mm"\nsteps = 5\n'
+    size = 'area = "100 mm^2"\nlength = "20 mm"\n'
+    return case_file(folder, gauge(f"{foam}poisson_ratio = {nu}", size), pressed)
+
+
 @pytest.mark.parametrize("poisson_ratio", [NU, 0.0, 0.45, -0.2])
 def test_abaqus_has_the_same_stress_at_20_states(tmp_path, poisson_ratio):
     """From the exported text."""
     path = problem(tmp_path, nu=poisson_ratio)
-    answer = study("export", str(path), "--as", "abaqus", "--reports", str(tmp_path), "--json")
-    assert answer.code == 0, answer.err
+    answer = success("export", path, "--as", "abaqus", "--reports", tmp_path, "--json")
     lines = answer.json["text"].splitlines()
     values = [float(v) for v in lines[lines.index("*Hyperfoam, n=2") + 1].split(",")]
     assert len(values) == 6
@@ -136,23 +142,11 @@ def test_stability_counts_the_volume():
         assert bool(np.linalg.eigvalsh(H)[0] > 0) is wanted
 
 
-def problem(folder, nu=NU, volume=""):
-    path = folder / "foam.toml"
-    path.write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "100 mm^2"\nlength = "20 mm"\n'
-        '[test]\nkind = "compression"\ndisplacement = "10 mm"\nsteps = 5\n'
-        '[material]\nmodel = "ogden-hill"\nmu = ["30 kPa", "10 kPa"]\nalpha = [4.0, -2.5]\n'
-        + (volume or f"poisson_ratio = {nu}")
-    )
-    return path
-
-
 def test_a_foam_is_solved_and_calibrated(tmp_path):
     """Constants of two terms come back from compression, shear and tension of the same foam."""
-    answer = study("solve", str(problem(tmp_path)), "--json")
-    assert answer.code == 0, answer.err
     stress = response(FOAM, "uniaxial", np.linspace(0.9, 0.5, 5)).stress
-    assert answer.json["force_N"] == pytest.approx(-100 * stress)
+    solved = success("solve", problem(tmp_path), "--json").json
+    assert solved["force_N"] == pytest.approx(-100 * stress)
     tests = ""
     for kind, loading, measure in (
         ("tension", "uniaxial", np.linspace(1, 1.6, 20)),
@@ -160,20 +154,11 @@ def test_a_foam_is_solved_and_calibrated(tmp_path):
         ("simple-shear", "simple-shear", np.linspace(0, 0.6, 20)),
     ):
         stress = 1e3 * LOADINGS[loading].nominal(FOAM, measure).stress
-        rows = [f"{m:.12g},{p:.12g}" for m, p in zip(measure, stress, strict=True)]
-        (tmp_path / f"{kind}.csv").write_text("\n".join(["m,P", *rows]) + "\n")
         column = "strain" if kind == "simple-shear" else "stretch"
-        sign = "negative" if kind == "compression" else "positive"
-        tests += (
-            f'[[tests]]\ntest = {{ kind = "{kind}" }}\nmeasurements = {{ file = "{kind}.csv", '
-            f'columns = {{ {column} = "m", stress = "P" }}, '
-            f'units = {{ {column} = "1", stress = "kPa" }}, sign = "{sign}" }}\n'
-        )
-    path = tmp_path / "case.toml"
-    path.write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\n'
-        f'[material]\nmodel = "ogden-hill"\norder = 2\npoisson_ratio = {NU}\n{tests}'
-    )
-    found = api.calibrate(path, data=tmp_path)
+        columns = {column: ("1", measure), "stress": ("kPa", stress)}
+        sign = ', sign = "negative"' if kind == "compression" else ""
+        tests += recorded(tmp_path, kind, f'kind = "{kind}"', columns, sign)
+    head = gauge(f'model = "ogden-hill"\norder = 2\npoisson_ratio = {NU}')
+    found = api.calibrate(case_file(tmp_path, head, tests), data=tmp_path)
     assert found.converged, found.message
     assert found.fit.constants() == pytest.approx(CONSTANTS, rel=1e-6)

@@ -17,7 +17,7 @@ from study.mechanics.material.stability import (
     tangent,
 )
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import judged_where_simulated, stability_over
+from study.simulation.fit_problem import stability_over
 
 RP2 = {"C10": 9.1e-3, "C20": -2.5e-3}  # the closed-form fit of a silicone mix at 20 %
 
@@ -110,21 +110,6 @@ def test_a_loss_of_ellipticity_is_said_too():
         assert judged.stable == stable
     end = float(judged.sentence.partition("not elliptic in uniaxial loading at stretch ")[2])
     assert end == pytest.approx(lost, rel=0.01)
-
-
-@pytest.mark.parametrize(("depth", "stable"), [(3.0, True), (7.0, False)])
-def test_a_fit_is_judged_over_what_is_simulated_with_it(depth, stable):
-    """Stable to a third of the height, where its data end; simulated further."""
-    tables = {
-        "specimen": {"shape": "homogeneous", "area_mm2": 20.0, "height_mm": 10.0},
-        "test": {"kind": "compression"},
-        "material": {"model": "reduced-polynomial", "order": 2, "incompressible": True},
-    }
-    fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
-    judged = judged_where_simulated(fit, CellProblem.of(tables), depth)
-    assert judged["stable"] == stable
-    sentence = "over its data: stable to 0.7; in the simulated test: unstable (Drucker)"
-    assert judged["stability"].startswith("stable to 0.7" if stable else sentence)
 
 
 def homogeneous(kind):

@@ -6,6 +6,8 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
+from tests.cli.small import gauge
+
 #: gauge section of every file, mm^2 and mm, and the constant behind it, MPa
 AREA, LENGTH, C10 = 80.0, 20.0, 0.03
 
@@ -16,8 +18,17 @@ def force(displacement, sense=1.0):
     return sense * AREA * 2 * C10 * (stretch - stretch**-2)
 
 
+#: the gauge section as a study file has it
+SIZE = f'area = "{AREA} mm^2"\nlength = "{LENGTH} mm"\n'
 UP = np.linspace(0.0, 6.0, 41)
 TIME = 0.2 * np.arange(UP.size)
+
+
+def calibration(table, kind, size=SIZE, model="neo-hookean"):
+    """Calibration of the gauge section by one test with a table of measurements."""
+    test = f'[[tests]]\ntest = {{ kind = "{kind}" }}\n'
+    table = table.replace("[measurements]", "[tests.measurements]")
+    return gauge(f'model = "{model}"\nincompressible = true', size) + test + table
 
 
 def german(text):

@@ -15,8 +15,9 @@ from study.cli.app import app
 from study.ground.errors import InputError
 from study.mechanics.measurement.inspection import inspect
 from study.mechanics.measurement.reading import read_measurements
+from tests.cli.small import measured
 from tests.measurement import layouts
-from tests.measurement.layouts import AREA, C10, LENGTH, TIME, UP, force
+from tests.measurement.layouts import AREA, C10, LENGTH, TIME, UP, calibration, force
 from tests.record.samples import Spec
 
 ROWS = [["Run of May", None, None], ["t", "Weg", "Kraft"], ["s", "mm", "N"]] + [
@@ -60,24 +61,20 @@ FILES = {
 }  # fmt: skip
 
 
-def calibration(table, kind):
-    return (
-        f'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "{AREA} mm^2"\n'
-        f'length = "{LENGTH} mm"\n[material]\nmodel = "neo-hookean"\nincompressible = true\n'
-        f'[[tests]]\ntest = {{ kind = "{kind}" }}\n'
-        + table.replace("[measurements]", "[tests.measurements]")
-    )
+def calibrated(folder, content, kind, change=lambda table: table, name="a.csv"):
+    """Calibration by a file, with the table that is proposed for it."""
+    (folder / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    table = change(inspect(folder / name).toml)
+    (folder / "c.toml").write_text(calibration(table, kind))
+    return study.calibrate(folder / "c.toml", data=folder).to_json()
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_the_table_reads_the_file_as_it_is(tmp_path, name):
     content, kind, says, (read, used) = FILES[name]
-    (tmp_path / name).write_bytes(content)
-    found = inspect(tmp_path / name)
-    table = dict(found.measurements)
+    made = calibrated(tmp_path, content, kind, name=name)
+    table = dict(inspect(tmp_path / name).measurements)
     assert {k: v for k, v in table.items() if k not in ("file", "columns", "units")} == says
-    (tmp_path / "c.toml").write_text(calibration(found.toml, kind))
-    made = study.calibrate(tmp_path / "c.toml", data=tmp_path).to_json()
     assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-4)
     assert (made["rows"]["read"], made["rows"]["used"]) == (read, used)
     assert sum(one["rows"] for one in made["rows"]["set_aside"]) == read - used
@@ -163,13 +160,6 @@ UGLY = {
 }  # fmt: skip
 
 
-def calibrated(folder, content, kind, change=lambda table: table):
-    (folder / "a.csv").write_bytes(content)
-    table = change(inspect(folder / "a.csv").toml)
-    (folder / "c.toml").write_text(calibration(table, kind))
-    return study.calibrate(folder / "c.toml", data=folder).to_json()
-
-
 @pytest.mark.parametrize("name", UGLY)
 def test_ugly_recordings_give_the_constant_behind_them(tmp_path, name):
     made = calibrated(tmp_path, *UGLY[name])
@@ -200,18 +190,41 @@ def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
     assert printed.exit_code == 0
     assert table in printed.stdout
     with pytest.raises(InputError, match="is missing|has no unit|V"):
-        calibrated(tmp_path, content.encode(), "tension")
+        calibrated(tmp_path, content, "tension")
 
 
-def test_an_open_unit_is_written_beside_the_table_as_its_line_says(tmp_path):
-    """What a user types is the text behind 'write', below the table that was printed."""
-    content = written("Weg,Kraft [mN]\n", UP, 1e3 * force(UP)).encode()
+TWO = [1 + end * np.linspace(0.02, 1, 30) for end in (0.6, 0.3)]
+BIAXIAL = [2e3 * C10 * (a - 1 / (a**3 * b**2)) for a, b in (TWO, TWO[::-1])]
+SHEAR = 0.5 * np.sin(np.linspace(0, 2 * np.pi, 81))
 
-    def answered(table):
-        return table + "\n" + re.search(r'write (units.displacement = "mm")', table)[1] + "\n"
 
-    made = calibrated(tmp_path, content, "tension", answered)
-    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-4)
+@pytest.mark.parametrize(
+    ("content", "kind", "change", "close", "used"),
+    [
+        # what a user types is the text behind 'write', below the table that was printed
+        (written("Weg,Kraft [mN]\n", UP, 1e3 * force(UP)), "tension",
+         lambda t: f'{t}\n{re.search(r"write (units.displacement = .mm.)", t)[1]}\n', 1e-4, 41),
+        (written("stretch x,stretch y,stress x (kPa),stress y (kPa)\n", *TWO, *BIAXIAL), "biaxial",
+         lambda t: t, 1e-4, 30),
+        # to the right, back, to the left: stress is odd in the amount of shear
+        (written("strain,stress_kPa\n", SHEAR, 2e3 * C10 * SHEAR), "simple-shear",
+         lambda t: t.replace('"loading"', '"all"'), 1e-6, 81),
+        (written("d_mm,f_N\n", BOTH, force(BOTH)), "tension",
+         lambda t: f'{t}\nrange = ["-3 mm", "5 mm"]', 1e-5, 41),
+        (written("position_mm,force_N\n", 4.0 - UP, -force(UP, -1.0)), "compression",
+         lambda t: t, 1e-5, 41),
+    ],
+    ids=["an open unit", "biaxial", "shear to both sides", "a range below zero", "falling"],
+)  # fmt: skip
+def test_a_table_with_what_its_user_adds_gives_the_constant(
+    tmp_path, content, kind, change, close, used
+):
+    made = calibrated(tmp_path, content, kind, change)
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=close)
+    assert made["rows"]["used"] == used
+    found = inspect(tmp_path / "a.csv").measurements
+    falling = (found.get("direction"), found.get("displacement_zero")) == ("falling", "first row")
+    assert falling == (kind == "compression")
 
 
 def test_noise_about_zero_before_contact_is_no_test_of_both_signs(tmp_path):
@@ -224,12 +237,11 @@ def test_noise_about_zero_before_contact_is_no_test_of_both_signs(tmp_path):
 
 def test_an_approach_over_a_third_of_the_travel_in_noise_begins_at_contact(tmp_path):
     """A falling position, a load cell that is not zeroed, noise of .2 % of the largest force."""
-    away = np.linspace(-4.0, 0.0, 40, endpoint=False)
-    rng = np.random.default_rng(6)
-    place, load = np.r_[away, UP], np.r_[0 * away, force(UP, -1.0)]
-    load = load + 0.002 * load.max() * rng.standard_normal(load.size)
-    content = written("Position (mm),Force (N)\n", 100 - place, -load - 0.2).encode()
-    made = calibrated(tmp_path, content, "compression")
+    place, load = np.r_[np.linspace(-4.0, 0.0, 40, endpoint=False), UP], force(UP, -1.0)
+    load = np.r_[np.zeros(40), load] + load.max() * NOISE[:81]
+    made = calibrated(
+        tmp_path, written("Position (mm),Force (N)\n", 100 - place, -load - 0.2), "compression"
+    )
     assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=0.02)
     assert made["fit"]["verdict"] == "describes"
 
@@ -245,9 +257,8 @@ def test_an_approach_over_a_third_of_the_travel_in_noise_begins_at_contact(tmp_p
     ids=["saturated", "torn to less than its first rows", "slack", "line of results"],
 )
 def test_what_no_reading_mends_is_refused_with_what_to_write(tmp_path, rows, rule):
-    content = ("d_mm,f_N\n" + rows).encode()
     with pytest.raises(InputError, match=f"(?s){rule}"):
-        calibrated(tmp_path, content, "tension",
+        calibrated(tmp_path, "d_mm,f_N\n" + rows, "tension",
                    lambda table: table.replace('displacement_zero = "contact"', ""))  # fmt: skip
 
 
@@ -259,45 +270,16 @@ def test_lines_that_are_no_rows_are_named_and_a_single_row_turns_no_sign(tmp_pat
     assert (found.rows, "sign" in found.measurements) == (41, False)
 
 
-def test_both_directions_of_a_biaxial_test_are_known(tmp_path):
-    one, other = 1 + 0.6 * np.linspace(0.02, 1, 30), 1 + 0.3 * np.linspace(0.02, 1, 30)
-    stresses = [2e3 * C10 * (a - 1 / (a**3 * b**2)) for a, b in ((one, other), (other, one))]
-    content = written("stretch x,stretch y,stress x (kPa),stress y (kPa)\n", one, other, *stresses)
-    made = calibrated(tmp_path, content.encode(), "biaxial")
-    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-4)
-    assert made["rows"]["used"] == 30
-
-
-def test_a_shear_to_both_sides_and_back_is_one_test(tmp_path):
-    """To the right, back, to the left: stress is even in the amount, and so is its constant."""
-    shear = 0.5 * np.sin(np.linspace(0, 2 * np.pi, 81))
-    content = written("strain,stress_kPa\n", shear, 2e3 * C10 * shear).encode()
-    made = calibrated(
-        tmp_path, content, "simple-shear", lambda table: table.replace('"loading"', '"all"')
-    )
-    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-6)
-    assert made["rows"]["used"] == 81
-
-
-def test_a_range_may_begin_below_zero(tmp_path):
-    content = written("d_mm,f_N\n", BOTH, force(BOTH)).encode()
-    made = calibrated(
-        tmp_path, content, "tension", lambda table: table + '\nrange = ["-3 mm", "5 mm"]'
-    )
-    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-5)
-    assert made["rows"]["used"] == int(((BOTH >= -3) & (BOTH <= 5)).sum())
-
-
 def test_a_slow_tear_is_refused(tmp_path):
     torn = force(UP) * np.where(UP > 5, 1 - 0.9 * np.clip((UP - 5) / 0.4, 0, 1), 1)
     with pytest.raises(InputError, match="the specimen tore"):
-        calibrated(tmp_path, written("displacement_mm,force_N\n", UP, torn).encode(), "tension")
+        calibrated(tmp_path, written("displacement_mm,force_N\n", UP, torn), "tension")
 
 
 def test_forces_that_relax_at_each_step_are_not_averaged_in_silence(tmp_path):
     steps = np.repeat(UP[::4], 10)
     relaxed = force(steps) * np.tile(0.8 + 0.2 * np.exp(-np.arange(10) / 3), UP[::4].size)
-    content = written("displacement_mm,force_N\n", steps, relaxed).encode()
+    content = written("displacement_mm,force_N\n", steps, relaxed)
     warnings = calibrated(tmp_path, content, "tension")["warnings"]
     assert any("force falls by 19 %" in warning for warning in warnings)
 
@@ -358,16 +340,6 @@ def test_numbers_alone_have_no_meaning_but_are_read(tmp_path):
     assert any("no column is known to hold" in note for note in found.notes)
 
 
-def test_a_falling_position_through_zero_is_placed(tmp_path):
-    rows = (f"{4.0 - d:.4f},{-f:.6f}\n" for d, f in zip(UP, force(UP, -1.0), strict=True))
-    text = "position_mm,force_N\n" + "".join(rows)
-    made = calibrated(tmp_path, text.encode(), "compression")
-    found = inspect(tmp_path / "a.csv").measurements
-    assert (found["direction"], found["displacement_zero"]) == ("falling", "first row")
-    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-5)
-    assert made["n"] == 41
-
-
 def test_several_sheets_are_named(tmp_path):
     (tmp_path / "a.xlsx").write_bytes(layouts.workbook({"one": ROWS[1:], "two": ROWS[1:]}))
     spec = Spec(file="a.xlsx", columns={"displacement": "Weg", "force": "Kraft"})
@@ -394,39 +366,31 @@ def test_a_sheet_of_a_workbook_is_analyzed(tmp_path):
 @pytest.mark.parametrize("name", ["Strain {}", "Tensile strain ({})", "strain_{}", "Strain, {}"])
 def test_lengths_over_lengths_are_strains(tmp_path, name, unit):
     """``Strain mm/mm`` was read as a displacement in mm: 481 kPa of 30, and it described."""
-    rows = zip(UP / LENGTH, force(UP) / AREA, strict=True)
-    text = "".join(f"{e:.6f}\t{s:.9f}\n" for e, s in rows)
-    (tmp_path / "a.csv").write_text(f"{name.format(unit)}\tStress (MPa)\n{text}")
-    looked = inspect(tmp_path / "a.csv")
-    assert looked.measurements["units"] == {"strain": "1", "stress": "MPa"}
-    (tmp_path / "c.toml").write_text(calibration(looked.toml, "tension"))
-    fitted = study.calibrate(tmp_path / "c.toml", data=tmp_path).fit
-    assert fitted.values == pytest.approx([C10], rel=1e-4)
+    head = f"{name.format(unit)}\tStress (MPa)\n"
+    text = head + "".join(f"{d / LENGTH:.6f}\t{force(d) / AREA:.9f}\n" for d in UP)
+    made = calibrated(tmp_path, text, "tension")
+    units = inspect(tmp_path / "a.csv").measurements["units"]
+    assert units == {"strain": "1", "stress": "MPa"}
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-4)
 
 
 def test_the_column_of_remarks_that_no_row_has(tmp_path):
     """LabVIEW names a last column Comment, which its rows leave out."""
-    rows = zip(TIME, UP, force(UP), strict=True)
-    text = "".join(f"{t:.6f}\t{d:.6f}\t{f:.6f}\n" for t, d, f in rows)
-    names = "X_Value\tPosition (mm)\tForce (N)\tComment\n"
-    (tmp_path / "a.lvm.txt").write_text("LabVIEW Measurement\n***End_of_Header***\n" + names + text)
-    looked = inspect(tmp_path / "a.lvm.txt")
-    assert looked.measurements["columns"] == {"displacement": "2", "force": "3"}
-    (tmp_path / "c.toml").write_text(calibration(looked.toml, "tension"))
-    fitted = study.calibrate(tmp_path / "c.toml", data=tmp_path).fit
-    assert fitted.values == pytest.approx([C10], rel=1e-4)
+    head = "LabVIEW Measurement\n***End_of_Header***\nX_Value\tPosition (mm)\tForce (N)\tComment\n"
+    made = calibrated(
+        tmp_path, written(head, TIME, UP, force(UP), sep="\t"), "tension", name="a.lvm.txt"
+    )
+    columns = inspect(tmp_path / "a.lvm.txt").measurements["columns"]
+    assert columns == {"displacement": "2", "force": "3"}
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-4)
 
 
 @pytest.mark.parametrize("travel", [1.0, 1.6, "compliant"])
 def test_a_strain_beside_the_way_of_the_machine_is_named(tmp_path, travel):
     way = UP + force(UP) / 5.0 if travel == "compliant" else travel * UP
-    rows = "".join(
-        f"{x},{100 * d / LENGTH},{f},{1000 * f / AREA}\n"
-        for x, d, f in zip(way, UP, force(UP), strict=True)
-    )
-    (tmp_path / "a.csv").write_text(
-        "Crosshead (mm),Extensometer (strain) [%],Load (N),Stress (kPa)\n" + rows
-    )
+    head = "Crosshead (mm),Extensometer (strain) [%],Load (N),Stress (kPa)\n"
+    text = written(head, way, 100 * UP / LENGTH, force(UP), 1000 * force(UP) / AREA)
+    (tmp_path / "a.csv").write_text(text)
     notes = " ".join(inspect(tmp_path / "a.csv").notes)
     assert f"'Stress (kPa)' is 'Load (N)' over {AREA:g} mm^2: is that the area" in notes
     if travel == "compliant":
@@ -438,20 +402,13 @@ def test_a_strain_beside_the_way_of_the_machine_is_named(tmp_path, travel):
 @pytest.mark.parametrize("kind", ["tension", "compression"])
 def test_the_machine_that_would_lower_moduli_by_a_hundredth_is_told(tmp_path, kind):
     """Of that stiffness the fit is off by 1 %, and the model still describes the rows."""
-    sense = 1.0 if kind == "tension" else -1.0
-    (tmp_path / "c.toml").write_text(
-        calibration(
-            '[measurements]\nfile = "a.csv"\ncolumns = { displacement = "d", force = "f" }\n'
-            'units = { displacement = "mm", force = "N" }',
-            kind,
-        )
-    )
-    resists = force(UP, sense)
+    (tmp_path / "c.toml").write_text(calibration(measured("a.csv"), kind))
+    resists = force(UP, 1.0 if kind == "tension" else -1.0)
     fitted, noise = [], np.random.default_rng(1).normal(size=UP.size)
     stiffness = np.inf
     for _ in range(2):
-        rows = zip(UP + resists / stiffness, resists + 0.01 * resists.max() * noise, strict=True)
-        (tmp_path / "a.csv").write_text("d,f\n" + "".join(f"{d},{f}\n" for d, f in rows))
+        rows = UP + resists / stiffness, resists + 0.01 * resists.max() * noise
+        (tmp_path / "a.csv").write_text(written("d,f\n", *rows))
         made = study.calibrate(tmp_path / "c.toml", data=tmp_path)
         fitted.append(made.fit.values[0])
         assert made.adequacy.verdict == "describes"

@@ -198,19 +198,6 @@ def test_numbers_in_a_design_match_labels_in_a_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"block": "s"}, ["a.csv:7", "column 'r' changes there"]),
-        ({"average": ("r",), "fit": {"s": "A"}, "score": {"s": "Q"}}, ["no test matches s = Q"]),
-    ],
-    ids=["forgotten repeats", "selection without tests"],
-)
-def test_tests_are_neither_merged_nor_missed_in_silence(tmp_path, changes, words):
-    shown = refusal(tmp_path, REPEATS, Spec(**changes))
-    assert all(word in shown for word in words)
-
-
-@pytest.mark.parametrize(
     "text", ["d,f\n0,0\n1,-2\n2,-4\n3,-6\n4,-8\n", "d,f\n0,0\n-1,-2\n-2,-4\n-3,-6\n-4,-8\n"]
 )
 def test_sign_is_declared_and_mismatch_refused(tmp_path, text):
@@ -283,16 +270,35 @@ def test_bad_files_are_refused_by_place(tmp_path, case):
     assert words in refusal(tmp_path, text)
 
 
-def test_a_point_under_a_declared_comma_is_refused(tmp_path):
-    words = refusal(tmp_path, "d;f\n0;0\n1.5;2,0\n2;4\n", Spec(decimal=","))
-    assert "a point has no place here" in words
+LABELS = ("=cmd|'/c calc'!A0", "@x", "a\u202eb", "x" * 201, "")
 
 
-def test_lines_are_those_of_the_file(tmp_path):
-    data = "made by X\nof 2020\nd,f\n0,0\n# pause\n1,x\n2,y\n"
-    words = refusal(tmp_path, data, Spec(skip_lines=2, comment="#"))
-    assert "a.csv:6: column 'f'" in words
-    assert "a.csv:7: column 'f'" in words
+@pytest.mark.parametrize(
+    ("data", "keys", "words"),
+    [
+        ("d;f\n0;0\n1.5;2,0\n2;4\n", {"decimal": ","}, ["a point has no place here"]),
+        # lines are those of the file
+        (
+            "made by X\nof 2020\nd,f\n0,0\n# pause\n1,x\n2,y\n",
+            {"skip_lines": 2, "comment": "#"},
+            ["a.csv:6: column 'f'", "a.csv:7: column 'f'"],
+        ),
+        (REPEATS, {"block": "s"}, ["a.csv:7", "column 'r' changes there"]),
+        (
+            REPEATS,
+            {"average": ("r",), "fit": {"s": "A"}, "score": {"s": "Q"}},
+            ["no test matches s = Q"],
+        ),
+        # labels that could do harm
+        *(
+            ("s,d,f\n" + f"{label},1,1\n" * 5, {"block": "s"}, ["a.csv:2: column 's'"])
+            for label in LABELS
+        ),
+    ],
+)
+def test_what_a_table_says_of_a_file_is_checked(tmp_path, data, keys, words):
+    said = refusal(tmp_path, data, Spec(**keys))
+    assert all(word in said for word in words), said
 
 
 def test_all_bad_cells_come_at_once(tmp_path):
@@ -309,12 +315,6 @@ def test_a_unit_in_the_header_must_be_the_declared_one(tmp_path):
     assert read(tmp_path, text, declared).curve().curve.force_N[-1] == pytest.approx(8000)
     plain = replace(declared, columns={"displacement": "d_mm", "force": "total_force"})
     assert read(tmp_path, text.replace("load_kN", "total_force"), plain).curve()
-
-
-@pytest.mark.parametrize("label", ["=cmd|'/c calc'!A0", "@x", "a\u202eb", "x" * 201, ""])
-def test_labels_that_could_do_harm_are_refused(tmp_path, label):
-    text = "s,d,f\n" + "".join(f"{label},{d},{d}\n" for d in range(5))
-    assert "a.csv:2: column 's'" in refusal(tmp_path, text, Spec(block="s"))
 
 
 @pytest.mark.parametrize(

@@ -194,14 +194,6 @@ def test_the_range_before_a_saturated_load_cell_holds_no_row_at_its_limit(tmp_pa
     assert stiffness(tmp_path, range=declared) == (pytest.approx(STIFFNESS, rel=1e-12), 5)
 
 
-def test_the_first_row_of_unloading_is_none_of_loading(tmp_path):
-    """The peak stands twice, with the force of either branch."""
-    write(tmp_path, np.r_[DEPTH, DEPTH[::-1]], np.r_[3.0 * DEPTH, 2.4 * DEPTH[::-1]])
-    found = read(tmp_path).curve().curve
-    assert found.force_N[-1] == pytest.approx(18.0, rel=1e-12)
-    assert len(found) == 25
-
-
 def test_a_test_through_zero_is_one_test_or_split_by_its_ranges(tmp_path):
     place = np.linspace(-5.0, 10.0, 31)
     write(tmp_path, place, STIFFNESS * place)
@@ -260,12 +252,6 @@ def test_a_branch_is_chosen_and_the_other_rows_are_counted(tmp_path, declared, s
         read(tmp_path, branch=3)
 
 
-def test_all_rows_count_where_that_is_written(tmp_path):
-    write_cycles(tmp_path, CYCLES[:2])
-    count = read(tmp_path, branch="all").curve().rows
-    assert (count.read, count.used, dict(count.aside)) == (45, 45, {})
-
-
 def test_a_recording_that_begins_loaded_is_refused_with_its_readings(tmp_path):
     """From 6 mm back to 0 and up again with another stiffness: either may be meant."""
     place = np.r_[DEPTH[::-1], DEPTH[1:]]
@@ -276,12 +262,6 @@ def test_a_recording_that_begins_loaded_is_refused_with_its_readings(tmp_path):
     assert "loading of cycle 1" in str(caught.value)
     assert stiffness(tmp_path, branch="loading") == (pytest.approx(3.0, rel=1e-6), 24)
     assert stiffness(tmp_path, branch="unloading") == (pytest.approx(2.4, rel=1e-6), 25)
-
-
-def test_a_machine_that_returns_beyond_its_start_has_one_loading(tmp_path):
-    back = np.arange(6.0, -4.0, -0.25)[1:]
-    write(tmp_path, np.r_[DEPTH, back], np.r_[3.0 * DEPTH, 2.4 * np.maximum(back, 0.0)])
-    assert stiffness(tmp_path) == (pytest.approx(3.0, rel=1e-6), 25)
 
 
 def test_a_torn_specimen_is_named_and_its_range_written(tmp_path):
@@ -309,21 +289,45 @@ def test_keys_of_displacement_are_refused_for_a_stretch(tmp_path):
         read_measurements(stretch, tmp_path, gauge=GAUGE)
 
 
-def test_rows_on_which_the_end_is_held_are_none_of_loading(tmp_path):
-    """The force relaxes to half while the machine stands at 6 mm."""
-    force = np.r_[3.0 * DEPTH, 9.0 + 9.0 * np.exp(-np.arange(1, 41) / 10.0)]
-    write(tmp_path, np.r_[DEPTH, np.full(40, 6.0)], force)
-    assert stiffness(tmp_path) == (pytest.approx(3.0, rel=1e-6), 25)
-    assert read(tmp_path).curve().rows.aside == {"hold of cycle 1": 40}
+BACK = np.arange(6.0, -4.0, -0.25)[1:]
+#: place, force, and what is set aside of each
+COURSES = {
+    # the peak stands twice, with the force of either branch
+    "unloading": (
+        np.r_[DEPTH, DEPTH[::-1]], np.r_[3.0 * DEPTH, 2.4 * DEPTH[::-1]],
+        {"unloading of cycle 1": 25},
+    ),
+    # the machine returns beyond its start
+    "return": (
+        np.r_[DEPTH, BACK], np.r_[3.0 * DEPTH, 2.4 * np.maximum(BACK, 0.0)],
+        {"unloading of cycle 1": BACK.size},
+    ),
+    "falling": (DEPTH[::-1], 3.0 * DEPTH[::-1], {}),
+    # the force relaxes to half while the machine stands at 6 mm
+    "hold": (
+        np.r_[DEPTH, np.full(40, 6.0)],
+        np.r_[3.0 * DEPTH, 9.0 + 9.0 * np.exp(-np.arange(1, 41) / 10.0)], {"hold of cycle 1": 40},
+    ),
     # readings that were repeated at every place are no hold
-    write(tmp_path, np.repeat(DEPTH, 5), np.repeat(3.0 * DEPTH, 5))
-    assert read(tmp_path).curve().rows.used == 125
+    "repeated": (np.repeat(DEPTH, 5), np.repeat(3.0 * DEPTH, 5), {}),
+}  # fmt: skip
 
 
-def test_a_recording_that_only_falls_is_turned_without_a_word(tmp_path):
-    write(tmp_path, DEPTH[::-1], 3.0 * DEPTH[::-1])
-    assert stiffness(tmp_path) == (pytest.approx(3.0, rel=1e-6), 25)
+@pytest.mark.parametrize("course", COURSES)
+def test_rows_of_the_first_loading_alone_count(tmp_path, course):
+    place, force, aside = COURSES[course]
+    write(tmp_path, place, force)
+    found = read(tmp_path).curve()
+    assert found.rows.aside == aside
+    assert found.rows.used == place.size - sum(aside.values())
+    d, f = found.curve.displacement_mm, found.curve.force_N
+    assert (d[-1], f[-1]) == (pytest.approx(6.0), pytest.approx(18.0, rel=1e-12))
+    assert d @ f / (d @ d) == pytest.approx(3.0, rel=1e-6)
     assert not any("out of order" in note for note in read(tmp_path).notes)
+    # all of them where that is written
+    every = read(tmp_path, branch="all").curve().rows
+    assert every.used == np.count_nonzero(place >= 0)
+    assert not any("cycle" in rows for rows in every.aside)
 
 
 def test_repeats_at_other_places_share_a_grid_and_specimens_do_not(tmp_path):

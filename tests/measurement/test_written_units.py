@@ -6,6 +6,7 @@ import pytest
 import study
 from study.ground.errors import InputError
 from study.ground.units import unit_factor
+from tests.measurement.layouts import SIZE, calibration
 
 #: how files write a unit, what it measures, and N, mm or MPa in one of it
 WRITTEN = (
@@ -42,6 +43,16 @@ def written(folder, quantity, word, place):
     return heads, above.count("\n")
 
 
+def declared(folder, heads, skip_lines=0, kind="tension", size=SIZE):
+    """Calibration by a.csv, whose columns are declared in their usual units."""
+    columns = ", ".join(f'{key} = "{name}"' for key, name in heads.items())
+    units = ", ".join(f'{key} = "{USUAL[key]}"' for key in heads)
+    table = f'[measurements]\nfile = "a.csv"\nskip_lines = {skip_lines}\n'
+    table += f"columns = {{ {columns} }}\nunits = {{ {units} }}\n"
+    (folder / "c.toml").write_text(calibration(table, kind, size))
+    return folder / "c.toml"
+
+
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize(("word", "quantity", "size"), WRITTEN)
 def test_a_unit_is_proposed_as_the_file_writes_it(tmp_path, word, quantity, size, place):
@@ -58,19 +69,12 @@ def test_a_declared_unit_that_the_file_contradicts_is_refused(
 ):
     """Grams of force read as N gave 3,061 kPa of 30, and the model "described" them."""
     heads, skipped = written(tmp_path, quantity, word, place)
-    columns = ", ".join(f'{key} = "{name}"' for key, name in heads.items())
-    units = ", ".join(f'{key} = "{USUAL[key]}"' for key in heads)
-    (tmp_path / "c.toml").write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "80 mm^2"\nlength = "20 mm"\n'
-        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
-        'test = { kind = "tension" }\n[tests.measurements]\nfile = "a.csv"\n'
-        f"skip_lines = {skipped}\ncolumns = {{ {columns} }}\nunits = {{ {units} }}\n"
-    )
+    file = declared(tmp_path, heads, skipped)
     # a row that holds no unit that the program knows is none of units
     with pytest.raises(
         InputError, match="is declared in measurements.units|must be a finite number"
     ):
-        study.calibrate(tmp_path / "c.toml", data=tmp_path)
+        study.calibrate(file, data=tmp_path)
     assert size != 1
 
 
@@ -92,22 +96,6 @@ def test_lines_above_the_names_are_no_row_of_units(tmp_path, above, names):
     assert list(measurements["columns"].values()) == names.split(",")[1:]
 
 
-def calibration(folder, kind, area_mm2, length_mm, columns, skip_lines=0):
-    """Calibration of a gauge section by one test of a.csv, in mm and N."""
-    far, hard = columns
-    file = folder / "c.toml"
-    file.write_text(
-        f'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "{area_mm2} mm^2"\n'
-        f'length = "{length_mm} mm"\n'
-        '[material]\nmodel = "neo-hookean"\nincompressible = true\n[[tests]]\n'
-        f'test = {{ kind = "{kind}" }}\n[tests.measurements]\nfile = "a.csv"\n'
-        f"skip_lines = {skip_lines}\n"
-        f'columns = {{ displacement = "{far}", force = "{hard}" }}\n'
-        'units = { displacement = "mm", force = "N" }\n'
-    )
-    return file
-
-
 @pytest.mark.parametrize(
     ("far", "hard", "refused"),
     [
@@ -121,7 +109,7 @@ def calibration(folder, kind, area_mm2, length_mm, columns, skip_lines=0):
 def test_names_that_hold_no_other_unit_are_read(tmp_path, far, hard, refused):
     rows = "".join(f"{0.1 * k},{0.02 * k}\n" for k in range(1, 21))
     (tmp_path / "a.csv").write_text(f"{far},{hard}\n{rows}")
-    file = calibration(tmp_path, "tension", 80, 20, (far, hard))
+    file = declared(tmp_path, {"displacement": far, "force": hard})
     if refused:
         with pytest.raises(InputError, match="its name says mm, but N is declared"):
             study.calibrate(file, data=tmp_path)
@@ -150,7 +138,7 @@ def test_a_size_above_the_rows_that_is_another_one_is_named(tmp_path, above, not
     pairs = zip(elongation_mm.tolist(), force_N.tolist(), strict=True)
     rows = "".join(f"{d:.6f},{f:.8f}\n" for d, f in pairs)
     (tmp_path / "a.csv").write_text(f"{above}d,F\n{rows}")
-    file = calibration(tmp_path, "tension", 80, 20, ("d", "F"), above.count("\n"))
+    file = declared(tmp_path, {"displacement": "d", "force": "F"}, above.count("\n"))
     notes = study.calibrate(file, data=tmp_path).notes
     written = [each for each in notes if "a line above the rows says" in each]
     assert len(written) == bool(note)
@@ -162,6 +150,7 @@ def test_sides_of_a_pressed_block_are_no_area_by_themselves(tmp_path):
     rows = "".join(f"{0.1 * k:.1f},{4 * k}\n" for k in range(1, 21))
     above = "Width: 20 mm\nThickness: 10 mm\nLength: 20 mm\n"
     (tmp_path / "a.csv").write_text(f"{above}d,F\n{rows}")
-    file = calibration(tmp_path, "compression", 400, 10, ("d", "F"), 3)
+    size = 'area = "400 mm^2"\nlength = "10 mm"\n'
+    file = declared(tmp_path, {"displacement": "d", "force": "F"}, 3, "compression", size)
     notes = study.calibrate(file, data=tmp_path).notes
     assert not [note for note in notes if "a line above the rows says" in note]

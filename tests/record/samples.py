@@ -9,6 +9,8 @@ from study.mechanics.measurement.measurement_section import MeasurementSpec, Ran
 from study.record.document import CurveKey, ManifestDocument
 from study.record.record import Record
 
+#: cases of a small study
+CASES = ("a1", "b2", "c3")
 #: a fit that several cases share, and what refinement says of one response
 FIT = {
     "status": "converged",

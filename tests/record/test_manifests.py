@@ -10,9 +10,8 @@ from study.record.document import NumericalRow
 from study.record.record import seal, table
 from study.record.store import Store
 from tests.record.disk import FailingDisk, PowerLoss
-from tests.record.samples import FIT, NUMERICAL, manifest, record
+from tests.record.samples import CASES, FIT, NUMERICAL, manifest, record
 
-CASES = ("a1", "b2", "c3")
 OLD = {name: "old-" + name for name in CASES}
 #: the edited study drops a case, makes two of other inputs, and adds one
 NEW = {"b2": "new-b2", "c3": "new-c3", "d4": "new-d4"}

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
+from tests.fem import surfaces
 
 
 def directions(n):
@@ -41,11 +42,8 @@ def outward(points, triangles):
 
 def box(width, depth, height):
     """Box with a corner at the origin: twelve triangles."""
-    corners = np.array(
-        [[x, y, z] for z in (0, height) for y in (0, depth) for x in (0, width)], dtype=float
-    )
-    triangles = outward(corners - corners.mean(axis=0), ConvexHull(corners).simplices)
-    return TriangleSurface(corners, triangles)
+    points, triangles = surfaces.box(width, depth, height)
+    return TriangleSurface(points + [width / 2, depth / 2, 0], triangles)
 
 
 def scan(surface, n, rng, noise=0.0):

@@ -9,27 +9,9 @@ from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
+from tests.cli.small import case_file, pressed
 from tests.material.modes import uniaxial
 
-PROBLEM = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "10 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-displacement = "3 mm"
-steps = 2
-[material]
-{material}
-{compressibility}
-[model]
-space = "{space}"
-mesh_size = "5 mm"
-element_order = "linear"
-"""
 ENERGIES = {
     "linear-elastic": 'model = "linear-elastic"\nyoungs_modulus = "30 kPa"',
     "neo-hookean": 'model = "neo-hookean"\nC10 = "5 kPa"',
@@ -46,9 +28,10 @@ COMPRESSIBILITY = {
 
 
 def write(folder, material, compressibility, space="axisymmetric"):
-    path = folder / "problem.toml"
-    path.write_text(PROBLEM.format(material=material, compressibility=compressibility, space=space))
-    return path
+    solid = f"[material]\n{material}\n{compressibility}\n"
+    model = f'[model]\nspace = "{space}"\nmesh_size = "5 mm"\nelement_order = "linear"\n'
+    test = 'displacement = "3 mm"\nsteps = 2\n'
+    return case_file(folder, pressed(solid + model, height=10, test=test))
 
 
 #: every energy and volume law in the section, and each energy once in space

@@ -7,6 +7,7 @@ from study.api.calibrating import choose_energy
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material
 from tests.cli.small import case_file, gauge, recorded
+from tests.fem.problems import long_verification
 
 
 def written(folder, compressibility):
@@ -22,7 +23,7 @@ def written(folder, compressibility):
     return case_file(folder, gauge(f'model = "neo-hookean"\n{compressibility}'), tests)
 
 
-@pytest.mark.slow
+@long_verification
 @pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
 def test_a_foam_is_known_among_all_energies(tmp_path):
     found = choose_energy(written(tmp_path, "poisson_ratio = 0.2"), data=tmp_path)
@@ -31,7 +32,7 @@ def test_a_foam_is_known_among_all_energies(tmp_path):
     assert found.fits["ogden-hill-1"].fit.values == pytest.approx([0.02, 8.0], rel=0.01)
 
 
-@pytest.mark.slow
+@long_verification
 def test_an_incompressible_solid_is_no_foam(tmp_path):
     found = choose_energy(written(tmp_path, "incompressible = true"), data=tmp_path)
     assert not [k for k in (*found.fits, *found.failures) if k.startswith("ogden-hill")]

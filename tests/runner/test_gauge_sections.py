@@ -12,7 +12,7 @@ from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.setup.test_kind import TEST_KINDS
-from tests.cli.small import case_file, gauge, recorded, refusal, study, success
+from tests.cli.small import case_file, gauge, pressed, recorded, refusal, study, success
 
 GENT = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)
 #: kind -> measures in the sense of the test
@@ -73,13 +73,10 @@ def test_a_gauge_section_beside_a_bonded_specimen_of_elements(tmp_path):
     """Tension in closed form and bonded compression by finite elements, one set of constants."""
     truth = Material("fung", {"mu": 0.02, "b": 1.0}, poisson_ratio=0.49)
     pulled = written(tmp_path, "tension", truth)
-    problem = tmp_path / "truth.toml"
-    shape = 'shape = "cylinder"\nradius = "10 mm"\nheight = "10 mm"'
-    problem.write_text(
-        f'schema = 1\n[specimen]\n{shape}\n[material]\nmodel = "fung"\nmu = "20 kPa"\nb = 1.0\n'
-        'poisson_ratio = 0.49\n[model]\nmesh = "coarse"\n'
-        '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "2 mm"\n'
-    )
+    solid, more = 'model = "fung"\npoisson_ratio = 0.49\n', '[model]\nmesh = "coarse"\n'
+    known = f'[material]\n{solid}mu = "20 kPa"\nb = 1.0\n{more}'
+    depth = 'displacement = "2 mm"\n'
+    problem = case_file(tmp_path, pressed(known, height=10, interface="bonded", test=depth))
     curve = api.solve(problem, gradients=False).curve
     columns = {
         "displacement": ("mm", np.r_[0, curve.displacement_mm]),
@@ -87,28 +84,24 @@ def test_a_gauge_section_beside_a_bonded_specimen_of_elements(tmp_path):
     }
     bonded = 'kind = "compression", interface = "bonded"'
     rows = ', range = ["0.2 mm", "2 mm"], points = 10'
-    pressed = recorded(tmp_path, "pressed", bonded, columns, rows)
-    pressed += 'specimen = { shape = "cylinder", radius = "10 mm", height = "10 mm" }\n'
-    more = '[model]\nmesh = "coarse"\n'
-    path = case(tmp_path, pulled + pressed, 'model = "fung"\npoisson_ratio = 0.49', more)
-    found = api.calibrate(path, data=tmp_path)
+    test = recorded(tmp_path, "pressed", bonded, columns, rows)
+    test += 'specimen = { shape = "cylinder", radius = "10 mm", height = "10 mm" }\n'
+    found = api.calibrate(case(tmp_path, pulled + test, solid, more), data=tmp_path)
     assert found.converged, found.message
     # the curve of elements is interpolated between ten steps
     assert found.fit.values == pytest.approx([0.02, 1.0], rel=2e-3)
 
 
 def test_a_gauge_section_is_solved_in_closed_form(tmp_path):
-    path = tmp_path / "pull.toml"
-    path.write_text(
-        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "4 mm^2"\nlength = "20 mm"\n'
-        '[test]\nkind = "tension"\ndisplacement = "20 mm"\n'
-        '[material]\nmodel = "gent"\nmu = "30 kPa"\nJm = 8.0\nincompressible = true\n'
-    )
-    answer = success("solve", str(path), "--json")
+    material = 'model = "gent"\nmu = "30 kPa"\nJm = 8.0\nincompressible = true\n'
+    pulled = '[test]\nkind = "tension"\ndisplacement = "20 mm"\n'
+    size = 'area = "4 mm^2"\nlength = "20 mm"\n'
+    path = case_file(tmp_path, gauge(material, size), pulled)
+    answer = success("solve", path, "--json")
     # Gent's P = mu Jm / (Jm - I1 + 3) (l - l^-2) at l = 2: I1 = 5
     assert answer.json["force_N"][-1] == pytest.approx(4 * 0.03 * 8 / 6 * 1.75, rel=1e-12)
     assert answer.json["solver"] == "closed form"
-    beyond = study("solve", str(path), "-s", 'test.displacement="60 mm"', "--json")
+    beyond = study("solve", path, "-s", 'test.displacement="60 mm"', "--json")
     assert beyond.code == 1
     assert beyond.json["status"] == "unstable"
     assert np.isfinite(beyond.json["force_N"]).all()

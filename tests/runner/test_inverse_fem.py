@@ -12,6 +12,7 @@ from study.simulation.calibration.calibration_bound import estimated_bound
 from study.simulation.cell import CellProblem
 from study.simulation.staged_fit import TOLERANCES, StagedSearch, staged_fit
 from study.simulation.staged_fit import FitPart as Part
+from tests.forward.test_halfspace import INDENTERS
 
 from .conftest import compressed
 
@@ -48,6 +49,17 @@ def fitted(setting, measured, start):
     return fit(model, data, names, start, **TOLERANCE), model, names
 
 
+def recovered(setting, true, start):
+    """Fit to its own forces: 1e-6 of the largest constant; exponents count for themselves."""
+    found, model, names = fitted(setting, curve(setting, true), start)
+    assert found.converged
+    scale = max(v for n, v in true.items() if not n.startswith("alpha"))
+    for name, value in zip(names, found.values, strict=True):
+        size = 1.0 if name.startswith("alpha") else scale
+        assert value == pytest.approx(true[name], abs=1e-6 * size)
+    return found, model
+
+
 LONG = [pytest.mark.slow, pytest.mark.verify]
 STARTS = [
     *((energy, (3.0, 3.0, 3.0)) for energy in ENERGIES),
@@ -63,12 +75,7 @@ def test_recovery_from_three_times_off(energy, factors):
     """V40: 1e-6 of the largest constant on the same mesh; exponents count for themselves."""
     setting, true = config(energy), energy[2]
     start = [f * v for f, v in zip(factors, true.values(), strict=False)]
-    found, model, names = fitted(setting, curve(setting, true), start)
-    assert found.converged
-    scale = max(v for n, v in true.items() if not n.startswith("alpha"))
-    for name, value in zip(names, found.values, strict=True):
-        size = 1.0 if name.startswith("alpha") else scale
-        assert value == pytest.approx(true[name], abs=1e-6 * size)
+    found, model = recovered(setting, true, start)
     # a fit costs at most 1.2 simulations an iteration, whatever the number of constants
     assert model.solves <= 1.2 * len(found.history)
     # Ogden's exponent bends the valley: 14 from a third of it, where polynomials need 6
@@ -144,13 +151,6 @@ def _cold_solutions(monkeypatch):
     return cold
 
 
-INDENTERS = {
-    "flat": {"shape": "flat", "radius_mm": 8.0, "edge_radius_mm": 1.0},
-    "cone": {"shape": "cone", "half_angle_deg": 45.0, "tip_radius_mm": 2.0},
-    "sphere": {"shape": "sphere", "radius_mm": 8.0},
-}
-
-
 @pytest.mark.parametrize(
     ("indenter", "energy", "identifiable"),
     [
@@ -174,12 +174,7 @@ def test_recovery_from_indentation(indenter, energy, identifiable):
                        "displacement_mm": 5.0, "steps": 10,
                        "indenter": INDENTERS[indenter]}  # fmt: skip
     start = [f * v for f, v in zip((3, 1 / 3, 3), true.values(), strict=False)]
-    found, model, names = fitted(setting, curve(setting, true), start)
-    assert found.converged
-    scale = max(v for n, v in true.items() if not n.startswith("alpha"))
-    for name, value in zip(names, found.values, strict=True):
-        size = 1.0 if name.startswith("alpha") else scale
-        assert value == pytest.approx(true[name], abs=1e-6 * size)
+    found, model = recovered(setting, true, start)
     assert model.solves <= 10
     assert found.identifiable is identifiable, found.reason
 

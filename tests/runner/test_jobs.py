@@ -45,8 +45,12 @@ def test_a_record_judges_its_fit_over_the_simulated_test(depth, stable):
         "material": {"model": "reduced-polynomial", "order": 2, "incompressible": True},
     })  # fmt: skip
     cell = Cell(gauge, "auto")
+    # its data end at a third of the height
     pair = ScorePair("all", None, FitJob(fit_problem(cell), (), key="fit"), pressed_mm=depth)
     fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
     job = CaseJob(Case({}, cell, None, "case"), (pair,), "hash")
     task = job.sent({pair.fit_key: FitResult("converged", fit)})
-    assert case._fits(task)["all"]["stable"] is stable
+    judged = case._fits(task)["all"]
+    assert judged["stable"] is stable
+    sentence = "over its data: stable to 0.7; in the simulated test: unstable (Drucker)"
+    assert judged["stability"].startswith("stable to 0.7" if stable else sentence)

@@ -88,11 +88,18 @@ def spring(case):
     }
 
 
-def run(text, folder, forward=spring, **more):
+def run(design, folder, forward=spring, **more):
+    """Run a study of a function, whose design is a text or its tables."""
     return api.run(
-        loads(text), forward=forward, version="1", jobs=1, reports=None,
-        results=folder / "results", **more,
+        loads(design) if isinstance(design, str) else design, forward=forward, version="1",
+        jobs=1, results=folder / "results", **{"reports": None, **more},
     )  # fmt: skip
+
+
+def run_program(design, folder, **more):
+    return api.run(
+        design, results=folder / "results", allow_commands=True, jobs=1, **{"reports": None, **more}
+    )
 
 
 def program(folder):
@@ -173,7 +180,7 @@ def with_deeds(folder, deeds):
     (folder / "input.txt.j2").write_text(f"{TEMPLATE}deed {{{{ parameters.deed }}}}\n")
     code += f"exec({deeds!r}[int(p['deed'])])\nprint('x =', x, 'm')\n"
     (folder / "spring.py").write_text(code)
-    found = api.run(design, results=folder / "results", reports=None, allow_commands=True, jobs=1)
+    found = run_program(design, folder)
     return sorted(found.records, key=lambda record: int(record.levels["parameters.deed"]))
 
 
@@ -220,12 +227,12 @@ def test_a_report_agrees_with_its_records_whatever_run_wrote_it(tmp_path):
     design = program(tmp_path)
     # behind a table within the table
     design.write_text(design.read_text().replace("[factors]", 'seconds = "1 s"\n[factors]'))
-    places = {"results": tmp_path / "results", "reports": tmp_path / "reports"}
-    more = {"allow_commands": True, "jobs": 1, **places}
-    first = api.run(design, **more)
+    reports = tmp_path / "reports"
+    places = {"results": tmp_path / "results", "reports": reports}
+    first = run_program(design, tmp_path, reports=reports)
     assert api.verify("spring", **places).differences == []
     (tmp_path / "spring.py").write_text(CODE.replace("* (1 +", "* (2 +"))
-    second = api.run(design, **more)
+    second = run_program(design, tmp_path, reports=reports)
     peaks = [float(found.table["peak"].sum()) for found in (first, second)]
     static = 1e3 * float(first.table["static"].sum())  # of m
     assert peaks[1] - peaks[0] == pytest.approx(static, rel=1e-9)
@@ -235,18 +242,22 @@ def test_a_report_agrees_with_its_records_whatever_run_wrote_it(tmp_path):
 
 def test_why_says_what_no_manifest_holds(tmp_path):
     """A program edited after its run; a function, which the file alone does not give."""
-    places = {"results": tmp_path / "results"}
     design = program(tmp_path)
-    made = api.run(design, allow_commands=True, jobs=1, reports=None, **places)
-    case = made.records[0].case_id
-    assert api.explain(case, study=design, **places).use == "the study uses it"
+
+    def use(made):
+        case = made.records[0].case_id
+        return api.explain(case, study=design, results=tmp_path / "results").use
+
+    made = run_program(design, tmp_path)
+    assert use(made) == "the study uses it"
     (tmp_path / "spring.py").write_text(CODE + "\n")
-    use = api.explain(case, study=design, **places).use
-    assert use.startswith("the study makes it of other inputs now: a program, a file beside it")
+    other = "the study makes it of other inputs now: a program, a file beside it"
+    assert use(made).startswith(other)
     design.write_text(HEAD + '[forward]\nmodel = "python"\n' + FACTORS + RESPONSES)
-    made = api.run(design, forward=spring, version="1", jobs=1, reports=None, **places)
-    case = made.records[0].case_id
-    assert api.explain(case, study=design, **places).use == "the study uses it"
+    made = api.run(
+        design, forward=spring, version="1", jobs=1, reports=None, results=tmp_path / "results"
+    )
+    assert use(made) == "the study uses it"
 
 
 def test_an_override_of_a_parameter_is_read_in_the_unit_of_the_file(tmp_path):
@@ -402,8 +413,7 @@ def refined(folder, solver, parameters, factors):
         "converge": {"key": "parameters.h", "formal_order": 2},
         "response": [{"name": "y", "practical": 0.5}],
     }  # fmt: skip
-    return api.run(tables, forward=solver, version="1", jobs=1, reports=None,
-                   results=folder / "results")  # fmt: skip
+    return run(tables, folder, solver)
 
 
 # where 95 % hold, fewer than 52 of 60 do in 0.3 %; of 200, 190 is the bar itself
@@ -448,7 +458,7 @@ def test_the_series_of_a_solver_without_a_formal_order_can_be_read(tmp_path):
     def solver(case):
         return {"y": case["parameters"]["a"] + case["parameters"]["h"] ** 2}
 
-    api.run(tables, forward=solver, version="1", jobs=1, reports=None, results=tmp_path / "results")
+    run(tables, tmp_path, solver)
     found = api.converge("no-order", results=tmp_path / "results")
     words = " ".join(getattr(block, "words", "") for block in found.blocks())
     assert "no formal order: give [converge] formal_order" in words
@@ -563,7 +573,7 @@ runs = 24
 [[response]]
 name = "peak_force"
 """
-    text = SCATTERING.replace("n = 12", "n = 40") + design
+    text = SCATTERING.replace("n = 12", "n = 20") + design
     found = run(text, tmp_path, force)
     d = np.array([0.5, 1.0, 1.5, 2.0])
     measured = pd.DataFrame({"displacement_mm": d, "force_N": 2.2 * d * (1 + 0.2 * d)})
@@ -604,8 +614,7 @@ def test_trajectories_screen_a_function_as_its_derivatives_say(tmp_path):
         "design": {"kind": "morris", "trajectories": 8, "levels": 8},
         "response": [{"name": "line", "practical": 0.5}, {"name": "bent"}],
     }  # fmt: skip
-    found = api.run(tables, forward=solver, version="1", jobs=1, reports=tmp_path / "reports",
-                    results=tmp_path / "results")  # fmt: skip
+    found = run(tables, tmp_path, solver, reports=tmp_path / "reports")
     line, bent = (one.to_json()["screened"] for one in found.surfaces)
     assert [row["factor"] for row in line] == [f"parameters.{name}" for name in "bac"]
     for row, slope in zip(line, (-5, 3, 0.5), strict=True):
@@ -642,10 +651,14 @@ quadratic,fine,S2,,diverged
 """
 
 
+def imported(folder, factors, responses, **more):
+    return api.import_runs(folder / "runs.csv", factors, responses, results=folder / "r", **more)
+
+
 def test_runs_of_elsewhere_become_a_study(tmp_path):
     (tmp_path / "runs.csv").write_text(RUNS.lstrip())
-    asked = {"factors": "element,mesh", "responses": "peak_force=N", "failed": "ok"}
-    found = api.import_runs(tmp_path / "runs.csv", **asked, block="batch", results=tmp_path / "r")
+    asked = "element,mesh", "peak_force=N"
+    found = imported(tmp_path, *asked, failed="ok", block="batch")
     assert (found.total, found.failed) == (8, 1)
     assert sorted(set(found.table["batch" if "batch" in found.table else "block"])) == ["S1", "S2"]
     assert [r.message for r in found.records if not r.converged] == [
@@ -661,10 +674,7 @@ def test_runs_of_elsewhere_become_a_study(tmp_path):
     assert row.split()[1] == "\N{EN DASH}"
     assert "cannot show" not in text
     assert "cannot tell" not in text
-    copies = api.import_runs(
-        tmp_path / "runs.csv", **asked, practical="peak_force=2 N", name="copies",
-        results=tmp_path / "r",
-    )  # fmt: skip
+    copies = imported(tmp_path, *asked, failed="ok", practical="peak_force=2 N", name="copies")
     assert copies.analyses[0].result.error_term.source == "E0"
     assert {v["practical"] for v in copies.verdicts} == {2.0}
 
@@ -673,9 +683,7 @@ def test_runs_made_elsewhere_are_neither_confirmed_here_nor_replaced_by_a_run(tm
     every = itertools.product((1, 2, 3, 4, 5), (20, 40, 60))
     rows = "".join(f"{v},{t},{10 + 2 * v - 0.02 * t + 0.1 * v * v}\n" for v, t in every)
     (tmp_path / "runs.csv").write_text(f"speed,temp,peak\n{rows}")
-    made = api.import_runs(
-        tmp_path / "runs.csv", (), "peak=N", numeric="speed,temp", results=tmp_path / "r"
-    )
+    made = imported(tmp_path, (), "peak=N", numeric="speed,temp")
     with pytest.raises(errors.RefusedError, match="its runs were made elsewhere") as refused:
         api.optimize(made.folder, maximize="peak")
     assert "Python function" not in str(refused.value)
@@ -696,8 +704,7 @@ def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_p
     rows = "".join(f"{h},{gel},{h + len(gel) + more}\n" for h, gel, more in every)
     (tmp_path / "runs.csv").write_text(f"height,gel,peak\n{rows}")
     # a response without unit has a plain number as what matters
-    asked = {"practical": "peak=0.5", "results": tmp_path / "r"}
-    made = api.import_runs(tmp_path / "runs.csv", "height,gel", "peak", **asked)
+    made = imported(tmp_path, "height,gel", "peak", practical="peak=0.5")
     assert {v["practical"] for v in made.verdicts} == {0.5}
     height, gel = made.design.factors
     assert height.labels == ("2.5", "10", "20")
@@ -729,10 +736,7 @@ def _sampled_runs(folder, levels=("soft", "stiff")):
 
 def test_runs_of_elsewhere_that_sample_ranges_predict_and_optimize(tmp_path):
     peak = _sampled_runs(tmp_path)
-    made = api.import_runs(
-        tmp_path / "runs.csv", "gel", "peak=N", numeric="speed,temp", practical="peak=1 N",
-        results=tmp_path / "r",
-    )  # fmt: skip
+    made = imported(tmp_path, "gel", "peak=N", numeric="speed,temp", practical="peak=1 N")
     assert (made.total, made.failed) == (30, 1)
     at = {"speed": 3.2, "temp": 44.0, "gel": "stiff"}
     (seen,) = api.predict(made.folder, at)
@@ -764,17 +768,15 @@ def test_columns_of_elsewhere_that_are_wrong_are_told(tmp_path, changed, into, n
     path = tmp_path / "runs.csv"
     path.write_text(path.read_text().replace(changed, into))
     with pytest.raises(errors.InputError, match=said):
-        api.import_runs(path, "gel" * (numeric != "gel"), "peak", numeric=numeric,
-                        results=tmp_path / "r")  # fmt: skip
+        imported(tmp_path, "gel" * (numeric != "gel"), "peak", numeric=numeric)
 
 
 def test_numbers_of_elsewhere_are_asked_for_as_what_they_are(tmp_path):
     """A name in both lists was told to have wrong letters; a surface, to need another design."""
     _sampled_runs(tmp_path)
-    path, results = tmp_path / "runs.csv", tmp_path / "r"
     with pytest.raises(errors.InputError, match="stands in --numeric alone"):
-        api.import_runs(path, "gel,speed", "peak", numeric="speed", results=results)
-    listed = api.import_runs(path, "gel", "peak", results=results)
+        imported(tmp_path, "gel,speed", "peak", numeric="speed")
+    listed = imported(tmp_path, "gel", "peak")
     with pytest.raises(errors.InputError, match="import the table again with --numeric"):
         api.predict(listed.folder, {"parameters.speed": 2.0})
 
@@ -784,40 +786,33 @@ def test_imported_runs_as_an_instrument_exports_them(tmp_path):
     path = tmp_path / "runs.csv"
     rows = [f"{gel};{peak},5" for gel, peak in zip("AABB", (1, 2, 4, 5), strict=True)]
     path.write_text("\n".join(["gel;peak", ";[kN]", *rows]))
-
-    def imported(responses, decimal=","):
-        return api.import_runs(path, "gel", responses, decimal=decimal, results=tmp_path / "r")
-
-    assert imported("peak=kN").total == 4
+    assert imported(tmp_path, "gel", "peak=kN", decimal=",").total == 4
     with pytest.raises(errors.InputError, match="the table says kN, but N is declared"):
-        imported("peak=N")
+        imported(tmp_path, "gel", "peak=N", decimal=",")
     with pytest.raises(errors.InputError) as fault:
-        imported("peak=kN", ".")
+        imported(tmp_path, "gel", "peak=kN", decimal=".")
     (one,) = fault.value.faults
     assert "holds a decimal comma ('1,5')" in one.rule
-    path.write_text(path.read_text().replace("kN", "N/mm2"))
-    assert imported("peak=N/mm^2").total == imported("peak=MPa").total == 4
     assert one.mend == "write --decimal ,"
+    path.write_text(path.read_text().replace("kN", "N/mm2"))
+    for unit in ("N/mm^2", "MPa"):
+        assert imported(tmp_path, "gel", f"peak={unit}", decimal=",").total == 4
 
 
 def test_units_in_the_names_of_columns_are_those_of_responses(tmp_path):
-    path = tmp_path / "runs.csv"
     rows = [f"{tip},{gel},{tip + 2 * (gel == 'stiff') + copy / 10}"
             for tip in (1, 2, 3) for gel in ("soft", "stiff") for copy in (0, 1)]  # fmt: skip
-    path.write_text("\n".join(["tip radius (mm),gel,peak force [N]", *rows]))
-    asked = {"numeric": "tip radius (mm) log", "results": tmp_path / "r"}
-
-    def imported(responses, practical=""):
-        return api.import_runs(path, "gel", responses, practical=practical, **asked)
-
-    made = imported("peak force [N]", "peak force [N]=0.5 N")
+    names = "tip radius (mm),gel,peak force [N]"
+    (tmp_path / "runs.csv").write_text("\n".join([names, *rows]))
+    asked = {"numeric": "tip radius (mm) log"}
+    made = imported(tmp_path, "gel", "peak force [N]", practical="peak force [N]=0.5 N", **asked)
     (response,) = made.design.responses
     assert (response.name, response.unit) == ("peak_force", "N")
     assert [f.name for f in made.design.factors] == ["gel", "parameters.tip_radius_mm"]
     assert sorted(made.table["peak_force"]) == sorted(float(row.rpartition(",")[2]) for row in rows)
-    assert imported("peak force [N]=N").total == made.total
+    assert imported(tmp_path, "gel", "peak force [N]=N", **asked).total == made.total
     with pytest.raises(errors.InputError, match="the table says N, but kN is declared"):
-        imported("peak force [N]=kN")
+        imported(tmp_path, "gel", "peak force [N]=kN", **asked)
 
 
 def test_listed_cells_take_settings_of_ranges(tmp_path):

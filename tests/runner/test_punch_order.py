@@ -12,43 +12,26 @@ from study.mechanics.setup.setup import Model, Setup
 from study.mechanics.setup.test_kind import Test
 from study.simulation.refinement import series_sizes
 
-from .test_refine_truth import series
+from .test_refine_truth import PUNCH, series, volume_law
 
-PUNCH = """
-schema = 1
-specimen = {{ shape = "cylinder", radius = "10 mm", height = "1 mm" }}
-[test]
-kind = "indentation"
-interface = "{interface}"
-base = "bonded"
-displacement = "0.001 mm"
-steps = 1
-indenter = {{ shape = "flat", radius = "1 mm" }}
-[material]
-model = "linear-elastic"
-youngs_modulus = "{modulus} MPa"
-{volume}
-[model]
-element_order = "{order}"
-element_shape = "{shape}"
-mesh_size = "0.05 mm"
-[converge]
-ratio = {ratio}
-levels = {levels}
-"""
 #: Table D (an integral equation), a/h = 1: frictionless
 KAPPA = {0.499: 3.60438, 0.5: 3.61874}
 #: bonded, nu = 0.499: no published figure; two quadratic elements agree in their limits to 3e-5
 BONDED = 3.9054
 
 
+def punch_text(order, shape, interface, modulus, volume, ratio=1.5, levels=4):
+    """Problem whose layer is as thick as the punch is wide, with its series."""
+    model = f'element_shape = "{shape}"\nmesh_size = "0.05 mm"\n'
+    return PUNCH.format(
+        radius=10, height=1, interface=interface, modulus=modulus, volume=volume, order=order,
+        model=f"{model}[converge]\nratio = {ratio}\nlevels = {levels}",
+    )  # fmt: skip
+
+
 def punch_series(order, shape, interface, nu, ratio=1.5, levels=4):
     """Document of a series, with its values in the unit of Table D."""
-    volume = "incompressible = true" if nu == 0.5 else f"poisson_ratio = {nu:g}"
-    text = PUNCH.format(
-        order=order, shape=shape, interface=interface, modulus=2e3 * (1 + nu), volume=volume,
-        ratio=ratio, levels=levels,
-    )  # fmt: skip
+    text = punch_text(order, shape, interface, 2e3 * (1 + nu), volume_law(nu), ratio, levels)
     found = series(text)
     unit = 4.0 / (1 - nu)  # 4 mu a d / (1 - nu), N
     found["kappa"] = [value / unit for value in found["value"]]
@@ -74,10 +57,8 @@ def test_the_order_under_a_sharp_edge_is_one(interface, verdict):
 
 @pytest.mark.parametrize(("depth", "said"), [(0.001, False), (0.3, True)])
 def test_a_deep_punch_into_rubber_is_told_what_may_hide_the_order(depth, said):
-    text = PUNCH.format(
-        order="linear", shape="triangle", interface="frictionless", modulus=1, volume="",
-        ratio=1.5, levels=4,
-    ).replace("0.001 mm", f"{depth} mm")  # fmt: skip
+    text = punch_text("linear", "triangle", "frictionless", 1, "")
+    text = text.replace("0.001 mm", f"{depth} mm")
     law = 'model = "neo-hookean"\nC10 = "0.5 MPa"\nbulk_modulus = "1000 MPa"\n'
     text = text.replace('model = "linear-elastic"\nyoungs_modulus = "1 MPa"\n', law)
     found = formal_order(loads_problem(text, "punch.toml").problem.at())

@@ -34,14 +34,13 @@ def work(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    return tmp_path_factory.mktemp("results")
+def results(work):
+    return work.data.root / "results"
 
 
 @pytest.fixture(scope="module")
 def records(work, results):
-    found = finished(work, results)
-    return {record.case_id: record for record in found}
+    return {record.case_id: record for record in finished(work, results)}
 
 
 def test_columns_go_from_coarse_to_fine_under_one_block(work):

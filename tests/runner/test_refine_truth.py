@@ -29,23 +29,24 @@ C10 = "0.5 MPa"
 element_order = "%s"
 mesh_size = "0.12 mm"
 """
+#: a flat punch of 1 mm, 0.001 mm deep in a bonded layer
 PUNCH = """
 schema = 1
-specimen = { shape = "cylinder", radius = "%g mm", height = "%g mm" }
+specimen = {{ shape = "cylinder", radius = "{radius:g} mm", height = "{height:g} mm" }}
 [test]
 kind = "indentation"
-interface = "frictionless"
+interface = "{interface}"
 base = "bonded"
 displacement = "0.001 mm"
 steps = 1
-indenter = { shape = "flat", radius = "1 mm" }
+indenter = {{ shape = "flat", radius = "1 mm" }}
 [material]
 model = "linear-elastic"
-youngs_modulus = "1 MPa"
-%s
+youngs_modulus = "{modulus:.12g} MPa"
+{volume}
 [model]
-element_order = "%s"
-mesh_size = "0.06 mm"
+element_order = "{order}"
+{model}
 """
 
 
@@ -92,7 +93,10 @@ def punches(order):
     for ratio, nu, truth, digits in layers("punch on layer"):
         height = 1 / ratio
         unit = 4 * (1 / (2 * (1 + nu))) * 1e-3 / (1 - nu)  # 4 mu a d / (1 - nu)
-        text = PUNCH % (1 + 9 * height, height, volume_law(nu), order)
+        text = PUNCH.format(
+            radius=1 + 9 * height, height=height, interface="frictionless", modulus=1,
+            volume=volume_law(nu), order=order, model='mesh_size = "0.06 mm"',
+        )  # fmt: skip
         rows.append(judged(f"punch {order} a/h={ratio:g} nu={nu:g}", text, truth, digits, unit))
     return rows
 

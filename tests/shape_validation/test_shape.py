@@ -1,7 +1,6 @@
 """``study shape`` end to end: scans of bodies whose deformed shape is known in closed form."""
 
 import base64
-import json
 import zlib
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import pytest
 from matplotlib.axes import Axes
 
 import study
-from study.cli.app import run
 from study.ground.errors import InputError, RefusedError
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from study.laboratory.registration.rigid import turned_about
@@ -18,30 +16,19 @@ from study.laboratory.shape.boundary import DeformedMesh, surface_of, symmetry_o
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
 from study.mechanics.mesh.structured import extrude, rectangle
 from study.reporting.output.laboratory_pages import scan_answers
+from tests.cli.small import case_file, pressed, success
 from tests.fem.problems import LONG, long_verification
 from tests.fem.surfaces import write
 from tests.registration.bodies import egg, scan
 
 #: Lubricated compression of an incompressible cylinder: stretch 0.8 along, 0.8^-1/2 across.
-PROBLEM = """
-schema = 1
-[specimen]
-shape = "cylinder"
-radius = "20 mm"
-height = "30 mm"
-[test]
-kind = "compression"
-interface = "frictionless"
-displacement = "6 mm"
-steps = 2
-[material]
-model = "neo-hookean"
-C10 = "5 kPa"
-incompressible = true
-[model]
-space = "axisymmetric"
-mesh_size = "5 mm"
-"""
+PROBLEM = pressed(
+    '[material]\nmodel = "neo-hookean"\nC10 = "5 kPa"\nincompressible = true\n'
+    '[model]\nspace = "axisymmetric"\nmesh_size = "5 mm"\n',
+    radius=20,
+    height=30,
+    test='displacement = "6 mm"\nsteps = 2\n',
+)
 HEIGHT = 24.0
 RADIUS = 20.0 / np.sqrt(0.8)
 MOTION = turned_about(np.zeros(3), np.array([0.3, -0.2, 0.5]), np.array([40.0, -10, 25]))
@@ -49,8 +36,7 @@ AS_IT_LIES = Options(register=False)
 
 
 def problem(folder):
-    (folder / "problem.toml").write_text(PROBLEM)
-    return folder / "problem.toml"
+    return case_file(folder, PROBLEM)
 
 
 def cylinder(radius, height, n, seed, noise=0.0):
@@ -75,12 +61,10 @@ def write_ply(path, surface):
     return Path(write(path, (surface.points, surface.triangles)))
 
 
-def test_the_scan_of_the_closed_form_is_on_the_surface(tmp_path, capsys):
-    cloud = Path(write(tmp_path / "scan.ply", (MOTION(cylinder(RADIUS, HEIGHT, 1000, 1)), [])))
-    reports = tmp_path / "reports"
-    command = ["shape", str(problem(tmp_path)), "--scan", str(cloud), "--reports", str(reports)]
-    assert run([*command, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_the_scan_of_the_closed_form_is_on_the_surface(tmp_path):
+    cloud = write(tmp_path / "scan.ply", (MOTION(cylinder(RADIUS, HEIGHT, 1000, 1)), []))
+    command = ("shape", problem(tmp_path), "--scan", cloud, "--reports", tmp_path / "reports")
+    found = success(*command, "--json").json
     # chords of 180 segments lie up to 1.5e-4 radii inside the circle: 0.0034 mm
     assert found["deviation_mm"]["largest"] < 0.006
     assert found["registration"]["null_space"] == ["rotation about (0.00, 0.00, 1.00)"]
@@ -90,8 +74,8 @@ def test_the_scan_of_the_closed_form_is_on_the_surface(tmp_path, capsys):
     assert "Figure missing" not in page
     assert not [word for word in ("https:", "src=") if word in page]
     assert page.count("<script") == 1  # the one that sorts tables
-    assert run(command) == 0
-    assert "rotation about" in capsys.readouterr().out
+    few = write(tmp_path / "few.ply", (MOTION(cylinder(RADIUS, HEIGHT, 300, 1)), []))
+    assert "rotation about" in success("shape", problem(tmp_path), "--scan", few).out
 
 
 @long_verification
@@ -140,10 +124,9 @@ def test_markers_inside_move_as_the_closed_form_says(tmp_path, space):
 
 
 def test_a_vtu_file_says_the_same_as_its_problem(tmp_path):
-    file = problem(tmp_path)
-    vtu = tmp_path / "solution.vtu"
-    assert run(["solve", str(file), "--vtu", str(vtu), "--json"]) == 0
-    cloud = write_csv(tmp_path / "scan.csv", cylinder(RADIUS, HEIGHT, 1500, 5, noise=0.05))
+    file, vtu = problem(tmp_path), tmp_path / "solution.vtu"
+    success("solve", file, "--vtu", vtu, "--json")
+    cloud = write_csv(tmp_path / "scan.csv", cylinder(RADIUS, HEIGHT, 400, 5, noise=0.05))
     numbers = [study.shape(source, cloud).statistics.rms for source in (file, vtu)]
     assert numbers[0] == pytest.approx(numbers[1], rel=1e-9)
 
@@ -196,7 +179,7 @@ def test_the_known_pair_of_brain_surfaces(data_dir):
 
 
 def test_a_scan_of_the_body_at_rest_is_compared_where_that_is_asked_for(tmp_path):
-    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(20.0, 30.0, 500, 7)))
+    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(20.0, 30.0, 300, 7)))
     with pytest.raises(RefusedError, match="another state: the body at rest fits it"):
         study.shape(problem(tmp_path), cloud)
     found = study.shape(problem(tmp_path), cloud, options=Options(any_state=True))
@@ -215,7 +198,7 @@ def test_a_scan_in_another_unit_is_refused_and_the_unit_is_named(tmp_path, facto
 @pytest.mark.parametrize("size", [0.1, 0.5, 2.0])
 def test_a_scan_of_the_whole_body_in_another_size_is_refused(tmp_path, size):
     """In cm it lay within the body, "0.002 mm" from the surface with its sign."""
-    points = size * MOTION(cylinder(RADIUS, HEIGHT, 1000, 1))
+    points = size * MOTION(cylinder(RADIUS, HEIGHT, 400, 1))
     cloud = write_csv(tmp_path / "scan.csv", points)
     with pytest.raises(InputError, match="times as large: scaled it lies"):
         study.shape(problem(tmp_path), cloud)

@@ -11,7 +11,6 @@ from scipy.stats import f as f_distribution
 
 import study
 from study import api
-from study.cli.app import run
 from study.ground.errors import InputError
 from study.laboratory.tracker.tracker_recording import (
     STAGES,
@@ -19,6 +18,7 @@ from study.laboratory.tracker.tracker_recording import (
     load_tracking,
     write_recording,
 )
+from tests.cli.small import success
 from tests.registration.bodies import cap
 from tests.tracker_accuracy import virtual
 
@@ -89,11 +89,9 @@ def reference_study(folder, seed, arm, turn, noise):
     return folder / "reference.toml"
 
 
-def test_the_command_writes_a_page_and_one_document(tmp_path, capsys):
-    file = distance_study(tmp_path, 1)
-    reports = tmp_path / "reports"
-    assert run(["tracking", str(file), "--reports", str(reports), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_the_command_writes_a_page_and_one_document(tmp_path):
+    command = ("tracking", distance_study(tmp_path, 1), "--reports", tmp_path / "reports")
+    found = success(*command, "--json").json
     page = Path(found["report"]).read_text()
     assert "Figure missing" not in page
     assert not [word for word in ("https:", "src=") if word in page]
@@ -103,8 +101,7 @@ def test_the_command_writes_a_page_and_one_document(tmp_path, capsys):
     assert json.loads((data / "numbers.json").read_text())["distance"] == found["distance"]
     for table in data.glob("*.csv"):  # numbers in cells of their own, no values of Python
         assert "(" not in table.read_text()
-    assert run(["tracking", str(file), "--reports", str(reports)]) == 0
-    assert "matters" in capsys.readouterr().out
+    assert "matters" in success(*command).out
 
 
 def test_the_error_term_is_stage_by_pass(tmp_path):
@@ -128,7 +125,7 @@ def test_the_error_term_is_stage_by_pass(tmp_path):
 
 def test_samples_are_not_taken_for_independent(tmp_path):
     """A serial correlation of 0.8 makes a sample worth (1 - 0.8) / (1 + 0.8) of one."""
-    found = study.tracking(distance_study(tmp_path, 3, passes=4, samples=2000)).distance
+    found = study.tracking(distance_study(tmp_path, 3, passes=4, samples=800)).distance
     rest = found.stages[0]
     assert rest.independent / rest.samples == pytest.approx(1 / 9, rel=0.3)
     # of a difference of two markers
@@ -263,22 +260,21 @@ def test_rows_that_are_no_places_of_their_marker_are_refused(tmp_path, change, r
         study.tracking(file)
 
 
-def test_rows_without_a_place_of_a_marker_are_left_out_and_counted(tmp_path, capsys):
+def test_rows_without_a_place_of_a_marker_are_left_out_and_counted(tmp_path):
     """The answer is that of the file without these rows, and with all visits where they were."""
     file = distance_study(tmp_path, 1)
     header, *rows = (tmp_path / "markers.csv").read_text().splitlines()
-    lost, nothing = range(7, 2400, 31), ("", "NaN", "-")
-    kept = [row for k, row in enumerate(rows) if k not in lost]
+    gone, nothing = range(7, 2400, 31), ("", "NaN", "-")
+    kept = [row for k, row in enumerate(rows) if k not in gone]
     (tmp_path / "markers.csv").write_text("\n".join([header, *kept]) + "\n")
     without = study.tracking(file).distance
-    for k in lost:
-        cells = rows[k].split(",")
-        rows[k] = ",".join([*cells[:5], *[nothing[k % 3]] * 3])
+    for k in gone:
+        rows[k] = ",".join([*rows[k].split(",")[:5], *[nothing[k % 3]] * 3])
     (tmp_path / "markers.csv").write_text("\n".join([header, *rows]) + "\n")
     assert study.tracking(file).distance.to_json() == without.to_json()
-    assert run(["tracking", str(file), "--reports", str(tmp_path)]) == 0
+    said = success("tracking", file, "--reports", tmp_path).err
     note = "marker b: 78 of 2400 rows have no place of it and are left out"
-    assert note in " ".join(capsys.readouterr().err.split())
+    assert note in " ".join(said.split())
 
 
 def test_a_marker_that_repeats_its_last_place_is_named(tmp_path):
@@ -364,13 +360,10 @@ def test_a_real_tracker_against_a_laser_tracker(tmp_path, data_dir):
 DESIGN = Path(__file__).parents[2] / "designs" / "tracker.toml"
 
 
-def test_two_commands_lead_from_nothing_to_the_page(tmp_path, capsys):
-    assert run(["virtual", str(tmp_path), "--from", str(DESIGN)]) == 0
-    assert "study tracking" in capsys.readouterr().err
+def test_two_commands_lead_from_nothing_to_the_page(tmp_path):
+    assert "study tracking" in success("virtual", tmp_path, "--from", DESIGN).err
     told = json.loads((tmp_path / "tracker" / "markers.csv.virtual.json").read_text())
-    again = ["tracking", str(DESIGN), "--data", str(tmp_path), "--reports", str(tmp_path)]
-    assert run([*again, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = success("tracking", DESIGN, "--data", tmp_path, "--reports", tmp_path, "--json").json
     assert "Figure missing" not in Path(found["report"]).read_text()
     distance, displacement = found["distance"], found["displacement"]
     assert [one["stage"] for one in distance["stages"]] == [name for name, _ in STAGES]
