@@ -194,11 +194,13 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
 
     def law(self, constants: Constants, compressibility: Compressibility) -> Law:
         """Refuse: the mixed form needs an energy that splits."""
-        raise _no_elements()
+        rule = f"{self.name} has no isochoric part that finite elements could take for itself"
+        mend = 'write specimen.shape = "homogeneous", or another energy'
+        raise InputError(Fault("material.model", rule, mend))
 
     def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Refuse, as :meth:`law`."""
-        raise _no_elements()
+        """Refuse, too."""
+        return self.law(constants, compressibility)
 
     def kirchhoff(
         self, constants: Constants, compressibility: Compressibility, stretch: Array
@@ -252,12 +254,6 @@ def _volume_exponent(compressibility: Compressibility) -> float:
     return nu / (1 - 2 * nu)
 
 
-def _no_elements() -> InputError:
-    rule = f"{OgdenHill.name} has no isochoric part that finite elements could take for itself"
-    mend = 'write specimen.shape = "homogeneous", or another energy'
-    return InputError(Fault("material.model", rule, mend))
-
-
 # Extended tube energy of Kaliske and Heinrich (1999, Rubber Chem. Technol. 72, 602-632).
 #     W = Gc / 2 ((1 - delta^2) D / (1 - delta^2 D) + ln(1 - delta^2 D))
 #         + 2 Ge / beta^2 (l1^-beta + l2^-beta + l3^-beta - 3),    D = I1 - 3
@@ -265,9 +261,6 @@ def _no_elements() -> InputError:
 # the exponent -beta. mu0 = Gc (1 - 2 delta^2) + Ge.
 
 _ENTANGLEMENT = Ogden()
-#: exponent and inextensibility that a fit starts from: 1 / delta^2 = 400
-STARTING_EXPONENT = 0.5
-STARTING_INEXTENSIBILITY = 0.05
 
 
 class ExtendedTube(DeclaredConstants, InvariantEnergy):
@@ -275,11 +268,12 @@ class ExtendedTube(DeclaredConstants, InvariantEnergy):
 
     name = "extended-tube"
     shear_modulus_formula = "Gc (1 - 2 delta^2) + Ge"
+    # a fit starts with half of the modulus from crosslinks, which are far from their end (400)
     declared = (
-        Constant("Gc", 0.0, np.inf),
-        Constant("Ge", 0.0, np.inf),
-        Constant("beta", 1e-6, 10.0, True),
-        Constant("delta", 1e-4, 0.7, True),
+        Constant("Gc", 0.0, np.inf, start=0.5 / (1 - 2 * 0.05**2)),
+        Constant("Ge", 0.0, np.inf, start=0.5),
+        Constant("beta", 1e-6, 10.0, True, start=0.5),
+        Constant("delta", 1e-4, 0.7, True, start=0.05),
     )
 
     def form(self, constants: Constants) -> Pole:
@@ -344,14 +338,6 @@ class ExtendedTube(DeclaredConstants, InvariantEnergy):
         if name == "beta":
             return Law(PointLaw.OGDEN_BY_EXPONENT, np.array([[-ge, -beta]]))
         return super().law_rate(constants, compressibility, name)
-
-    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
-        """Half of the modulus from crosslinks, which are far from their end."""
-        delta = STARTING_INEXTENSIBILITY
-        crosslinks = 0.5 * shear_modulus / (1 - 2 * delta**2)
-        return {
-            "Gc": crosslinks, "Ge": 0.5 * shear_modulus, "beta": STARTING_EXPONENT, "delta": delta
-        }  # fmt: skip
 
 
 def _term(constants: Constants) -> dict[str, float]:

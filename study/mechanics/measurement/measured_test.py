@@ -50,8 +50,11 @@ class SingleTest:
     zero_N: float = 0.0
     toe_mm: float = 0.0
     offset: float | None = None
-    #: Labels of the grouping columns.
-    groups: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def groups(self) -> Mapping[str, str]:
+        """Labels of the grouping columns."""
+        return self.specimen.recording.groups
 
 
 @dataclass(frozen=True)
@@ -75,8 +78,7 @@ class MeasuredTest:
     @property
     def directions(self) -> int:
         """2 where rows of a second direction follow those of the first."""
-        recording = self.tests[0].specimen.recording
-        return 1 if recording is None else recording.directions
+        return self.tests[0].specimen.recording.directions
 
 
 @dataclass(frozen=True)
