@@ -237,11 +237,7 @@ def parse_csv(
         needed = numbers if numbers is not None else required or header
         _check_decimal_comma({n: columns[n] for n in header if n in needed}, source, declared_by)
     padded = {name: column for name, column in cells.items() if column != columns[name]}
-    changed = sum(
-        cell != stripped
-        for name, column in padded.items()
-        for cell, stripped in zip(column, columns[name], strict=True)
-    )
+    changed = sum(sum(map(str.__ne__, column, columns[name])) for name, column in padded.items())
     notes = [f"{source}: spaces around {changed} cells removed"] if changed else []
     notes += [f"{source}: {blank} blank lines skipped"] if blank else []
     notes += [f"{source}: empty cells at the ends of {trailing} rows removed"] if trailing else []

@@ -106,7 +106,7 @@ def test_forces_of_no_soft_material_are_told(indenter, factor, hint):
     unit = np.array([apparent_modulus(made, float(x), 1.0) for x in d], dtype=float)
     rules = Rules(MeasurementSpec(COLUMNS, points="raw"), 0.0, np.inf)
     test = conditioned(d, factor * young / unit, rules)
-    notes = checked(Measurements((test,), d, files={"a.csv": ""}), made).notes
+    notes = checked(Measurements((test,), d, rules.spec, files={"a.csv": ""}), made).notes
     if hint is None:
         assert notes == ()
     else:

@@ -387,23 +387,25 @@ def _of_strays(
         yield from apart(scales, _SPECIMENS_APART if len(scales) > 2 else _FAR_APART)
 
 
-def apart(scales: Mapping[str, float], most: float) -> Iterator[_Finding]:
+def apart(scales: Mapping[str, float], most: float) -> list[_Finding]:
     """Name those whose size is a multiple of the others', beyond what these scatter by."""
     sizes = np.array(list(scales.values()))
     # of two, nothing tells which is right
     usual = 0.0 if sizes.size < 2 else float(sizes[0] if sizes.size == 2 else np.median(sizes))
     if not usual > 0:
-        return
+        return []
     logarithms = np.log(np.maximum(sizes / usual, _ROUNDING))
     scatter = 0.0 if sizes.size == 2 else 1.48 * float(np.median(np.abs(logarithms)))
+    others = [np.delete(logarithms, k) for k in range(sizes.size)]
+    rest = np.array([np.std(each, ddof=1) if each.size > 1 else 0.0 for each in others])
+    excused = np.maximum(math.log(_FAR_APART), _BEYOND_REST * rest)
+    limit = np.maximum(math.log(most), np.minimum(_BEYOND_OTHERS * scatter, excused))
     mend = "check units, sign and specimen of its rows, or leave it out"
-    for k, label in enumerate(scales):
-        others = np.delete(logarithms, k)
-        rest = float(np.std(others, ddof=1)) if others.size > 1 else 0.0
-        excused = max(math.log(_FAR_APART), _BEYOND_REST * rest)
-        if abs(logarithms[k]) > max(math.log(most), min(_BEYOND_OTHERS * scatter, excused)):
-            times = f"{sizes[k] / usual:.2g} times the others'"
-            yield 1, f"{label}: its forces are {times}: {mend}", ()
+    return [
+        (1, f"{label}: its forces are {size / usual:.2g} times the others': {mend}", ())
+        for label, size, is_off in zip(scales, sizes, np.abs(logarithms) > limit, strict=True)
+        if is_off
+    ]
 
 
 def _of_bounds(fit: Fit) -> list[_Finding]:

@@ -206,14 +206,11 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
         self, constants: Constants, compressibility: Compressibility, stretch: Array
     ) -> Array:
         """Sum of 2 mu / alpha (l^alpha - J^(-alpha b))."""
-        log, b = np.log(stretch), _volume_exponent(compressibility)
-        volume = log.sum(0)
-        return np.asarray(
-            sum(
-                2 * mu / alpha * (np.expm1(alpha * log) - np.expm1(-alpha * b * volume))
-                for mu, alpha in zip(*ogden_terms(constants), strict=True)
-            )
-        )
+        (mu, alpha), log = ogden_terms(constants), np.log(stretch)
+        powers = np.expm1(np.multiply.outer(alpha, log))
+        b = _volume_exponent(compressibility)
+        volume = np.expm1(np.multiply.outer(-alpha * b, log.sum(0)))
+        return np.asarray(np.tensordot(2 * mu / alpha, powers - volume[:, None], 1))
 
     def kirchhoff_slope(
         self,
@@ -223,14 +220,11 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
         direction: Array,
     ) -> Array:
         """Sum of 2 mu (l^alpha v + b J^(-alpha b) sum v)."""
-        log, b, v = np.log(stretch), _volume_exponent(compressibility), direction[:, None]
-        volume = log.sum(0)
-        return np.asarray(
-            sum(
-                2 * mu * (np.exp(alpha * log) * v + b * np.exp(-alpha * b * volume) * v.sum())
-                for mu, alpha in zip(*ogden_terms(constants), strict=True)
-            )
-        )
+        (mu, alpha), log = ogden_terms(constants), np.log(stretch)
+        powers = np.exp(np.multiply.outer(alpha, log)) * direction[:, None]
+        b = _volume_exponent(compressibility)
+        volume = b * np.exp(np.multiply.outer(-alpha * b, log.sum(0))) * direction.sum()
+        return np.asarray(np.tensordot(2 * mu, powers + volume[:, None], 1))
 
     def kirchhoff_gradient(
         self, constants: Constants, compressibility: Compressibility, stretch: Array

@@ -118,9 +118,6 @@ def condition(
     """
     where = recording.where
     counts: Counter[str] = Counter()
-    if displacement_mm.size < MIN_ROWS:
-        rule = f"has {displacement_mm.size} rows, a curve needs at least {MIN_ROWS}"
-        raise InputError(Fault(where, rule))
     every_d, every_f = _turned(displacement_mm, force_N, rules, where, counts)
     phases = phases_of(every_d)
     chosen = counted(phases, rules.spec, every_d, every_f, where, is_signed=rules.is_signed)
@@ -191,10 +188,6 @@ def condition_course(
 
     Shapes: displacement_mm, force_N (rows,).
     """
-    where = recording.where
-    if displacement_mm.size < MIN_ROWS:
-        rule = f"has {displacement_mm.size} rows, a course needs at least {MIN_ROWS}"
-        raise InputError(Fault(where, rule))
     # a shortened specimen is recorded with both signs turned, or with that of the force alone
     backwards = rules.turn < 0 and displacement_mm.min() < -displacement_mm.max()
     d = -displacement_mm if backwards else displacement_mm
@@ -203,7 +196,8 @@ def condition_course(
     f = f - zero
     if float(d @ f) <= 0:
         rule = f"the force does not resist with the declared sign ({rules.spec.sign})"
-        raise InputError(Fault(where, rule, f"write {rules.other_sign}, or check the columns"))
+        mend = f"write {rules.other_sign}, or check the columns"
+        raise InputError(Fault(recording.where, rule, mend))
     course = Curve(d, f, time_s=recording.time_s)
     rows = SpecimenRows(d, f, phases_of(d), np.zeros(d.size, dtype=int), ("",), recording)
     return SingleTest(d, f, course, rows, d.size // recording.directions, zero_N=zero)

@@ -17,6 +17,7 @@ from study.ground.arrays import Array
 from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.conditioning import (
+    MIN_ROWS,
     OFFSET,
     PERCENT,
     SIZE_ABOVE,
@@ -99,9 +100,8 @@ def read_measurements(
     # of rows of their own, no grid is common
     displacement, time = _common_grid(tests[:1] if own_rows else tests, rules)
     measurements = Measurements(
-        tuple(tests), displacement, spec.block, tuple(spec.average or ()), spec.fit, spec.score,
-        bool(spec.swap), tuple(notes), dict(recorded.files), time, own_rows,
-    )  # fmt: skip
+        tuple(tests), displacement, spec, tuple(notes), recorded.files, time, own_rows
+    )
     # a block without its fit or score tests is refused now, not in the middle of a run
     sides = [where for where in (spec.fit, spec.score) if where is not None]
     for block, where in product(measurements.blocks or (None,), sides):
@@ -159,7 +159,11 @@ def specimens(
     moved, notes = _in_place(recording, rules)
     d, f = displacement_and_force(moved, gauge)
     is_course = recording.time_s is not None
-    test = (condition_course if is_course else condition)(d, f, rules, recording)
+    kind, conditioned = ("course", condition_course) if is_course else ("curve", condition)
+    if d.size < MIN_ROWS:
+        rule = f"has {d.size} rows, a {kind} needs at least {MIN_ROWS}"
+        raise InputError(Fault(recording.where, rule))
+    test = conditioned(d, f, rules, recording)
     longest = 1.0
     if gauge is not None and gauge.mode != "simple-shear":
         longest = 1 + float((gauge.sense * d).max()) / gauge.length_mm

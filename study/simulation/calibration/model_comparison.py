@@ -279,14 +279,12 @@ def compare(
     }
     extra = [np.outer(mesh, mesh) + np.outer(zero, zero) for mesh, zero in systematic.values()]
     test = agreement(list(compared.values()), extra)
-    power: dict[str, float] = {}
-    detectable: dict[str, float] = {}
-    names = next(iter(fits.values())).fit.names
-    for i, label in enumerate(fits):
-        # all moduli of one test are larger by their own size, no exponent is
-        unit = np.zeros((len(fits), len(names)))
-        unit[i] = [0 if is_dimensionless(n) else v for n, v in zip(names, test.common, strict=True)]
-        power[label], detectable[label] = test.power(difference * unit), test.detectable(unit)
+    # all moduli of one test are larger by their own size, no exponent is
+    is_modulus = [not is_dimensionless(n) for n in next(iter(fits.values())).fit.names]
+    one_off = np.eye(len(fits))[..., None] * np.where(is_modulus, test.common, 0.0)
+    units = dict(zip(fits, one_off, strict=True))
+    power = {label: test.power(difference * unit) for label, unit in units.items()}
+    detectable = {label: test.detectable(unit) for label, unit in units.items()}
     return ModelComparison(
         config.name, config.material.model, fits, test, systematic, difference, power,
         detectable, form,

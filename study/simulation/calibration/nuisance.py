@@ -297,7 +297,7 @@ class _NuisanceFit:
     predictions: NuisancePredictions
     measured: Sequence[MeasuredCurve]
     names: tuple[str, ...]
-    bounds: Sequence[tuple[float, float]] | None
+    bounds: Sequence[tuple[float, float]]
     simulated: bool
     #: Parameters that the tests may move, and those whose uncertainty is propagated.
     fitted: Sequence[NuisanceParameter]
@@ -312,7 +312,7 @@ class _NuisanceFit:
         """Fit all that is unknown; as least squares gives it, and from its rows."""
         free = (-np.inf, np.inf)
         depth = max(float(m.curve.displacement_mm.max()) for m in self.measured)
-        bounds = [*(self.bounds or [free] * len(self.names))]
+        bounds = [*self.bounds]
         for param in self.fitted:
             far = reach_of(param, depth)
             is_offset = param.key == OFFSET
@@ -433,7 +433,7 @@ def with_nuisance(
     first_fit: Fit,
     tests: Sequence[CalibratedTest],
     curves: Sequence[FitCurve],
-    bounds: Sequence[tuple[float, float]] | None = None,
+    bounds: Sequence[tuple[float, float]],
 ) -> Fit:
     """Fit of the constants with what is not known exactly."""
     predictions = NuisancePredictions(tests, curves, first_fit.names)
