@@ -52,8 +52,6 @@ TIMES_MEASURED = 3.0
 USUAL_STRAIN = 0.4
 #: number of strains tried in the search for the strain that a test must reach
 _STRAINS = 80
-#: cross-section where no measured specimen has any, mm^2
-_AREA = 100.0
 #: singular value over the largest one below which a test does not see a combination
 _SEEN = 1e-6
 
@@ -111,26 +109,23 @@ class Conditions(Keyed):
     def of(
         cls, fit: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
     ) -> Conditions:
-        """Mean of the recordings; the first specimen that has a cross-section."""
-        specimens = [s for test in tests if (s := test.problem.setup.specimen) is not None]
-        areas = [height_and_area(specimen)[1] for specimen in specimens]
+        """Mean of the recordings; the first specimen."""
         serial = fit.serial
         rows = fit.n if serial is None else serial.rows
+        pairs = [(each.curve, tests[each.test].problem.setup) for each in curves]
         # mean strains of the specimens that are not indented
         strains = [
-            float(np.abs(curve.curve.displacement_mm).max()) / setup.height_mm
-            for curve in curves
-            if (setup := tests[curve.test].problem.setup).height_mm is not None
-            and setup.test.indenter is None
+            float(np.abs(curve.displacement_mm).max()) / setup.height_mm
+            for curve, setup in pairs
+            if setup.height_mm is not None and setup.test.indenter is None
         ]
         stresses = [
-            float(np.abs(curve.curve.force_N).max()) / height_and_area(specimen)[1]
-            for curve in curves
-            if (specimen := tests[curve.test].problem.setup.specimen) is not None
+            float(np.abs(curve.force_N).max()) / height_and_area(setup.specimen)[1]
+            for curve, setup in pairs
         ]
         return cls(
             noise,
-            areas[0] if areas else _AREA,
+            height_and_area(tests[0].problem.setup.specimen)[1],
             max(1, round(rows / len(fit.curves))),
             1.0 if serial is None else serial.effective_rows / serial.rows,
             max([USUAL_STRAIN, *strains]),
