@@ -262,10 +262,9 @@ class ExtendedTube(DeclaredConstants, InvariantEnergy):
 
     name = "extended-tube"
     shear_modulus_formula = "Gc (1 - 2 delta^2) + Ge"
-    # a fit starts with half of the modulus from crosslinks, which are far from their end (400)
     declared = (
-        Constant("Gc", 0.0, np.inf, start=0.5 / (1 - 2 * 0.05**2)),
-        Constant("Ge", 0.0, np.inf, start=0.5),
+        Constant("Gc", 0.0, np.inf),
+        Constant("Ge", 0.0, np.inf),
         Constant("beta", 1e-6, 10.0, True, start=0.5),
         Constant("delta", 1e-4, 0.7, True, start=0.05),
     )
@@ -332,6 +331,12 @@ class ExtendedTube(DeclaredConstants, InvariantEnergy):
         if name == "beta":
             return Law(PointLaw.OGDEN_BY_EXPONENT, np.array([[-ge, -beta]]))
         return super().law_rate(constants, compressibility, name)
+
+    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
+        """Half of the modulus from crosslinks, which are far from their end at 1 / delta^2."""
+        start = super().starting_values(names, shear_modulus)
+        crosslinks = 0.5 * shear_modulus / (1 - 2 * start["delta"] ** 2)
+        return start | {"Gc": crosslinks, "Ge": 0.5 * shear_modulus}
 
 
 def _term(constants: Constants) -> dict[str, float]:
