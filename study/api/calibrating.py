@@ -66,13 +66,11 @@ def panels_of(result: CalibrationResult) -> list[FitPanel]:
     panels = []
     for curve in result.curves:
         test, measured, predicted = curve.measured, curve.curve, curve.predicted
-        recordings = [part.specimen.recording for part in test.tests]
         panels.append(FitPanel(
             curve.label,
             curve.role == "fit", measured.places, measured.force_N,
             None if predicted is None else predicted.force_at(measured.displacement_mm),
-            test.scatter_N, measured.time_s is not None,
-            any(r.directions > 1 for r in recordings if r is not None),
+            test.scatter_N, measured.time_s is not None, test.directions > 1,
         ))  # fmt: skip
     return panels
 
@@ -85,15 +83,13 @@ def recording_points(result: CalibrationResult) -> pd.DataFrame:
     for number, curve in enumerate(result.curves, 1):
         for k, test in enumerate(curve.measured.tests, 1):
             rows = test.specimen
-            if rows.recording is None:
-                continue
             branch = np.empty(rows.fate.size, dtype=object)
             for phase in rows.phases:
                 branch[phase.rows] = phase.words
             title = f"{number}: {curve.label}"
             shown = {
                 "test": title if len(curve.measured.tests) == 1 else f"{title}, {k}",
-                "line": rows.recording.lines or np.arange(1, rows.fate.size + 1),
+                "line": rows.recording.lines,
                 "far": rows.recording.kinematic,
                 "hard": rows.recording.kinetic,
                 "branch": branch,
@@ -379,10 +375,8 @@ def indentation_modulus(
     tests: list[IndentationTest] = []
     faults = Faults()
     for number, test in enumerate(config.tests):
-        try:
+        with faults.gathered():
             tests.append(indentation_test(test, config.fitting, f"tests[{number}]"))
-        except InputError as error:
-            faults += error.faults
     faults.refuse(str(source))
     judged = [modulus_of(recording, root, number) for number, recording in enumerate(tests)]
     notes = tuple(dict.fromkeys(note for _, warnings in judged for note in warnings))

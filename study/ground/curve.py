@@ -144,7 +144,11 @@ class Curve:
         if len(self) == off.size:
             bent = _BENT * abs(float(k[1] * x[1] - f[1]))
             alone = _ALONE * abs(float(f[1])) if len(self) == 1 else 0.0
-            off[0] = max(off[0], abs(self._missed_by_a_parabola()), bent, alone)
+            # The work of the first interval gives the slope at the origin, so that nothing is left
+            # over to tell how good its cubic is; what that mends in a parabola from there does.
+            parabola = hermite_work(x[:2], f[:2], np.array([2 * f[1] / x[1] - k[1], k[1]]))
+            mended = abs(float(self.work_Nmm[0] - parabola[0])) / float(x[1])
+            off[0] = max(off[0], mended, bent, alone)
         h = x[2:] - x[:-2]
         t = (x[1:-1] - x[:-2]) / h
         cubic = (f[:-2] * (1 + 2 * t) + h * k[:-2] * t) * (1 - t) ** 2 - f[1:-1]
@@ -154,18 +158,6 @@ class Curve:
         quartic = cubic + 30 * (work[1:] + work[:-1] - pairs) / h * (t * (1 - t)) ** 2
         near = np.r_[0.0, _BY_CUBIC * np.abs(cubic) + _BY_QUARTIC * np.abs(quartic), 0.0]
         return np.asarray(off + np.maximum(near[:-1], near[1:]) + _JUMP * _jumps(x, f, k))
-
-    def _missed_by_a_parabola(self) -> float:
-        """Mean force that a parabola from the origin lacks of the first interval's work, N."""
-        # The work of this interval gives the slope at the origin, so that nothing is left over to
-        # tell how good its cubic is; what the cubic mends in the parabola tells that.
-        d, f = float(self.displacement_mm[0]), float(self.force_N[0])
-        slope = 0.0 if self.stiffness_N_per_mm is None else float(self.stiffness_N_per_mm[0])
-        parabola = hermite_work(
-            np.array([0.0, d]), np.array([0.0, f]), np.array([2 * f / d - slope, slope])
-        )
-        work = 0.0 if self.work_Nmm is None else float(self.work_Nmm[0])
-        return (work - float(parabola[0])) / d
 
     def relative_interpolation_error(self) -> float:
         """Estimated error of the interpolation over the force, both root mean square."""

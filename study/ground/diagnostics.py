@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeGuard, TypeVar
 
@@ -20,7 +21,7 @@ from study.ground.declaration import (
     values_of,
     written_keys,
 )
-from study.ground.errors import Fault, InputError, UnitError, nearest
+from study.ground.errors import Fault, InputError, MissingDataError, UnitError, nearest
 
 Kind = TypeVar("Kind")
 Raw = TypeVar("Raw")
@@ -42,10 +43,22 @@ class Faults(list[Fault]):
         if fault not in self:
             self.append(fault)
 
-    def refuse(self, source: str) -> None:
+    @contextmanager
+    def gathered(self) -> Iterator[None]:
+        """Context that notes the faults of a part, and lets the next one be looked at."""
+        try:
+            yield
+        except MissingDataError:  # told at once
+            raise
+        except InputError as error:
+            for fault in error.faults:
+                self.add(fault.where, fault.rule, fault.mend)
+
+    def refuse(self, source: str = "") -> None:
         """Raise the faults together, each with the name of its file, where there are any."""
+        before = f"{source}: " if source else ""
         if self:
-            raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in self])
+            raise InputError([Fault(f"{before}{f.where}", f.rule, f.mend) for f in self])
 
 
 def read_table(
@@ -372,7 +385,7 @@ def dump_toml(tables: Mapping[str, object]) -> str:
 def _block(table: Mapping[str, object], path: tuple[str, ...]) -> str:
     """Write the plain keys of a table first, then its tables under headers of their own."""
     nested = {k: v for k, v in table.items() if isinstance(v, Mapping) or _is_tables(v)}
-    text = "".join(f"{_key(k)} = {_value(v)}\n" for k, v in table.items() if k not in nested)
+    text = "".join(f"{_key(k)} = {toml_value(v)}\n" for k, v in table.items() if k not in nested)
     for name, value in nested.items():
         header = ".".join(_key(part) for part in (*path, name))
         if isinstance(value, Mapping):
@@ -394,15 +407,16 @@ def _string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _value(value: object) -> str:
+def toml_value(value: object) -> str:
+    """Value as TOML writes it."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return _string(value)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
+        return "{ " + ", ".join(f"{_key(k)} = {toml_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, (list, tuple)):
-        items = [_value(v) for v in value]
+        items = [toml_value(v) for v in value]
         one_line = "[" + ", ".join(items) + "]"
         return one_line if len(one_line) < 100 else "[\n    " + ",\n    ".join(items) + "\n]"
     return repr(value)  # whole numbers and floats: TOML writes them as Python does

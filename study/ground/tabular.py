@@ -240,11 +240,7 @@ def parse_csv(
         needed = numbers if numbers is not None else required or header
         _check_decimal_comma({n: columns[n] for n in header if n in needed}, source, declared_by)
     padded = {name: column for name, column in cells.items() if column != columns[name]}
-    changed = sum(
-        cell != stripped
-        for name, column in padded.items()
-        for cell, stripped in zip(column, columns[name], strict=True)
-    )
+    changed = sum(sum(map(str.__ne__, column, columns[name])) for name, column in padded.items())
     notes = [f"{source}: spaces around {changed} cells removed"] if changed else []
     notes += [f"{source}: {blank} blank lines skipped"] if blank else []
     notes += [f"{source}: empty cells at the ends of {trailing} rows removed"] if trailing else []
@@ -285,8 +281,6 @@ def _check_shape(lines: list[str], source: str) -> None:
         rule = f"has {len(lines)} rows, at most {MAX_ROWS} are read"
         mend = "thin the recording out or split it into several files"
         raise InputError(Fault(source, rule, mend))
-    if not any(line.strip() for line in lines):
-        raise InputError(Fault(source, "the file is empty", "it needs a header line and rows"))
     longest = max(range(len(lines)), key=lambda k: len(lines[k]))
     if len(lines[longest]) > MAX_LINE:
         rule = f"the line has {len(lines[longest])} characters, at most {MAX_LINE} are read"
@@ -308,14 +302,23 @@ def _rows(
     text: str, lines: list[str], delimiter: str, source: str, at: Sequence[int]
 ) -> tuple[list[list[str]], list[int], int]:
     """Cells of every row, the line each stands on, and the number of blank lines inside."""
-    empty = f"{delimiter} \t"
-    if '"' not in text:
-        numbered = [(k, line) for k, line in enumerate(lines, 1) if line.strip(empty)]
-        rows = [line.split(delimiter) for _, line in numbered]
-        numbers = [k for k, _ in numbered]
-    else:
-        rows, numbers = _quoted_rows(text, delimiter, source, at)
-    blank = sum(not line.strip(empty) for line in lines[: numbers[-1] if numbers else 0])
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    start = 1
+    try:
+        for row in reader:
+            if any(map(str.strip, row)):
+                rows.append(row)
+                numbers.append(start)
+            start = reader.line_num + 1
+    except csv.Error as error:
+        line = at[min(reader.line_num, len(at)) - 1]
+        mend = 'quotes must enclose a whole cell and be doubled inside: "a ""b"" c"'
+        rule = f"is not well-formed CSV ({error})"
+        raise InputError(Fault(f"{source}:{line}", rule, mend)) from error
+    held = lines[: numbers[-1] if numbers else 0]
+    blank = sum(not line.strip(f"{delimiter} \t") for line in held)
     return rows, [at[k - 1] for k in numbers], blank
 
 
@@ -328,27 +331,6 @@ def _even(rows: list[list[str]], width: int) -> int:
             count += len(row) != usual
             del row[width:]
     return count
-
-
-def _quoted_rows(
-    text: str, delimiter: str, source: str, at: Sequence[int]
-) -> tuple[list[list[str]], list[int]]:
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-    rows: list[list[str]] = []
-    numbers: list[int] = []
-    start = 1
-    try:
-        for row in reader:
-            if any(cell.strip() for cell in row):
-                rows.append(row)
-                numbers.append(start)
-            start = reader.line_num + 1
-    except csv.Error as error:
-        line = at[min(reader.line_num, len(at)) - 1]
-        mend = 'quotes must enclose a whole cell and be doubled inside: "a ""b"" c"'
-        rule = f"is not well-formed CSV ({error})"
-        raise InputError(Fault(f"{source}:{line}", rule, mend)) from error
-    return rows, numbers
 
 
 def _check_header(

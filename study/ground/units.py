@@ -61,8 +61,6 @@ _EXAMPLE: Mapping[str, str] = {
     "memory": "20 GB",
     "density": "980 kg/m^3",
 }
-#: unit inside -> (unit shown to people, factor); constants are reported in kPa
-TO_DISPLAY: Mapping[str, tuple[str, float]] = {"MPa": ("kPa", 1000.0)}
 _NUMBER = re.compile(
     r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
 )
@@ -215,12 +213,6 @@ def is_known(unit: str) -> bool:
     except (pint.PintError, ValueError, TypeError, KeyError, AttributeError):
         return False
     return True
-
-
-def to_display(value: float, unit: str) -> tuple[float, str]:
-    """Value and unit as people read them: MPa become kPa, others stay."""
-    shown, factor = TO_DISPLAY.get(unit, (unit, 1.0))
-    return value * factor, shown
 
 
 @lru_cache(maxsize=256)

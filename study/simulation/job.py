@@ -366,7 +366,7 @@ def _without_specimen(
         raise InputError(Fault("calibration.leave_out", rule, mend))
     pairs = []
     for fit_where, score_where in scored.sides:
-        where = fit_where if calibrated is None else calibrated.fit
+        where = fit_where if calibrated is None else calibrated.spec.fit
         curves = [_test(fitted, block, where).curve for block in others]
         test = _test(scored, case.block, score_where)
         pairs.append(_pair(case, problem, test, score_where, curves, f"all but {case.block}"))
@@ -386,8 +386,8 @@ def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePai
         measured = data.scored(other)
         if measured is None:
             raise InputError(Fault("measurements", "are missing for one of the tests"))
-        curves.append(_test(measured, case.block, measured.fit).curve)
-    where = scored.score or scored.fit
+        curves.append(_test(measured, case.block, measured.spec.fit).curve)
+    where = scored.spec.score or scored.spec.fit
     test = _test(scored, case.block, where)
     return _pair(case, together(case.cell, others), test, where, curves, "all other tests")
 
@@ -405,7 +405,7 @@ def score_pairs(
     if problem.method != "none" and (cell.leave_out is not None or with_scores):
         other = cell.fitted_elsewhere is not None
         kind = held_out(
-            cell.leave_out, scored.fit, scored.score, len(scored.blocks), other_test=other
+            cell.leave_out, scored.spec.fit, scored.spec.score, len(scored.blocks), other_test=other
         )
     if kind is None:
         return _fitted_pairs(case, problem, scored, data)
@@ -437,8 +437,8 @@ def _fitted_pairs(
     """Pairs whose constants are given, or come from the curves that the study file selects."""
     given, other = problem.method == "none", data.calibrated(case.cell)
     if given or other is not None:
-        curves = [] if given or other is None else [_test(other, case.block, other.fit).curve]
-        return [_pair(case, problem, scored.pairs(case.block)[0][1], scored.score, curves)]
+        curves = [] if given or other is None else [_test(other, case.block, other.spec.fit).curve]
+        return [_pair(case, problem, scored.pairs(case.block)[0][1], scored.spec.score, curves)]
     out = []  # with ``swap`` fit and score also change places
     pairs = zip(scored.pairs(case.block), scored.sides, strict=True)
     for (fitted, test), (fit_where, score_where) in pairs:
@@ -449,7 +449,7 @@ def _fitted_pairs(
 
 def _test(measured: Measurements, block: str | None, where: Selection | None) -> MeasuredTest:
     """Test of a block; the only one where the measurements have none."""
-    return measured.curve(None if measured.block is None else block, **dict(where or {}))
+    return measured.curve(None if measured.spec.block is None else block, **dict(where or {}))
 
 
 def _pair(

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.mechanics.measurement.conditioning import (
-    OFFSET,
-    UNLOADED,
-    Rules,
-    condition,
-    is_caution,
-)
+from study.mechanics.measurement.conditioning import OFFSET, UNLOADED, Rules, condition, is_caution
 from study.mechanics.measurement.measured_test import (
     SOFT_MPA,
     Measurements,
@@ -22,11 +16,16 @@ from study.mechanics.measurement.measured_test import (
 )
 from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec
 from study.mechanics.measurement.phases import phases_of
+from study.mechanics.measurement.recording import Recording
 from study.simulation.cell import CellProblem
 
 COLUMNS = Columns(displacement="d", force="f")
 RULES = Rules(MeasurementSpec(COLUMNS, points=10), 0.5, 5.0)
 UP = np.linspace(0.0, 6.0, 61)
+
+
+def conditioned(d, f, rules):
+    return condition(d, f, rules, Recording("a test", {}, d, f))
 
 
 def test_what_was_only_loaded_loses_nothing():
@@ -52,14 +51,14 @@ def test_what_was_only_loaded_loses_nothing():
     ],
 )
 def test_a_load_cell_that_does_not_begin_at_zero(force, told):
-    found = condition(UP, force, RULES, "a test")
+    found = conditioned(UP, force, RULES)
     if told is None:
         assert found.offset is None
     else:
         # the smaller of the first reading (exact here) and the straight line
         assert found.offset == pytest.approx(told, abs=0.006)
     zeroed = replace(RULES, spec=replace(RULES.spec, zero="first"))
-    assert condition(UP, force, zeroed, "a test").offset is None
+    assert conditioned(UP, force, zeroed).offset is None
     assert all(map(is_caution, (OFFSET, UNLOADED)))
 
 
@@ -67,7 +66,7 @@ def test_a_load_cell_that_does_not_begin_at_zero(force, told):
 def test_travel_in_another_unit_is_recognised(factor, size):
     many = np.linspace(0.0, 6.0, 601)
     with pytest.raises(InputError, match=f"1000 times too {size}.*measurements.units"):
-        condition(factor * many, many, RULES, "a test")
+        conditioned(factor * many, many, RULES)
 
 
 CYLINDER = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
@@ -106,8 +105,8 @@ def test_forces_of_no_soft_material_are_told(indenter, factor, hint):
     young = 0.05  # a silicone: factors of 10^4 leave the window, and 1000 brings them back
     unit = np.array([apparent_modulus(made, float(x), 1.0) for x in d], dtype=float)
     rules = Rules(MeasurementSpec(COLUMNS, points="raw"), 0.0, np.inf)
-    test = condition(d, factor * young / unit, rules, "a.csv")
-    notes = checked(Measurements((test,), d, files={"a.csv": ""}), made).notes
+    test = conditioned(d, factor * young / unit, rules)
+    notes = checked(Measurements((test,), d, rules.spec, files={"a.csv": ""}), made).notes
     if hint is None:
         assert notes == ()
     else:

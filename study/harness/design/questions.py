@@ -158,7 +158,7 @@ def _practical(unit: str, value: object) -> Threshold:
     if unit not in _DIMENSION:
         return Threshold(number_in(value, unit))
     inside = units.parse(value, _DIMENSION[unit])
-    return Threshold(units.to_display(inside, "MPa")[0] if unit == "kPa" else inside)
+    return Threshold(1000.0 * inside if unit == "kPa" else inside)
 
 
 # Table ``[uncertainty]``: standard uncertainties of inputs, and distributions over ranges.

@@ -70,15 +70,15 @@ def with_serial_correlation(
     rho = from_rows.correlation
     mixture = from_rows.mixture if free.all() else None
     serial = SerialCorrelation(rows, rho, effective_rows(rows, rho), half / independent, mixture)
-    scale = np.sqrt(np.diag(covariance))
-    correlated = math.isfinite(from_rows.correlation)
+    error = np.sqrt(np.diag(covariance))
+    constants = fit.values.size + 1 + int(math.isfinite(rho))
     corrected = replace(
         fit,
         covariance=covariance,
-        standard_error=np.sqrt(np.diag(covariance)),
+        standard_error=error,
         ci95=np.stack([fit.values - half, fit.values + half], axis=1),
-        correlation=np.asarray(covariance / np.outer(scale, scale)),
-        aicc=small_sample_aic(from_rows.deviance, rows, fit.values.size + 1 + int(correlated)),
+        correlation=np.asarray(covariance / np.outer(error, error)),
+        aicc=small_sample_aic(from_rows.deviance, rows, constants),
         serial=serial,
     )
     if not free.all():

@@ -161,12 +161,8 @@ def _effect(
 ) -> ConstantEffect:
     value, column = abs(float(fit.values[k])), jacobian[:, k]
     others = np.delete(jacobian, k, axis=1)
-    column_alone = column
-    if others.shape[1]:
-        scale = np.linalg.norm(others, axis=0)
-        column_alone = (
-            column - others / scale @ np.linalg.lstsq(others / scale, column, rcond=None)[0]
-        )
+    others = others / np.linalg.norm(others, axis=0)
+    column_alone = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
     largest = float(np.abs(slopes[:, k]).max())
     is_known = float(half[k]) <= max(value, AS_GOOD_AS_ZERO * force / largest)
     return ConstantEffect(

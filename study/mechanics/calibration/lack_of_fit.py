@@ -8,7 +8,7 @@ verdict is given for both ends: as many as points, and one a curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
+from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.noncentral_f import noncentral_f_sf
@@ -175,8 +176,10 @@ class SuspectRow:
 
 
 @dataclass(frozen=True)
-class Adequacy:
+class Adequacy(Keyed):
     """Whether the model describes its data, and what to do where it does not."""
+
+    KEYS = "verdict sentence reasons rows"
 
     verdict: Verdict
     #: Each with what to do, the worst first; empty where the model describes.
@@ -198,22 +201,17 @@ class Adequacy:
         }[self.verdict]
         return ": ".join([verdict, "; ".join(self.reasons)]) if self.reasons else verdict
 
-    def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
-        rows = [vars(row) for row in self.rows]
-        return {"verdict": self.verdict, "sentence": self.sentence,
-                "reasons": list(self.reasons), "rows": rows}  # fmt: skip
-
 
 @dataclass(frozen=True)
 class _Recording:
     """Residuals of the rows of one recording."""
 
+    fit: Fit
     label: str
     test: int
+    weight: Array
     rows: Curve
     predicted_N: Array  # noqa: N815
-    weight: Array
     slopes: Array
     #: Whether single rows count for little.
     is_robust: bool = False
@@ -270,6 +268,20 @@ class _Recording:
         return np.asarray(self.weight * self.rows.force_N)
 
     @cached_property
+    def by_noise(self) -> tuple[Array, Series] | None:
+        """Factor by which the rows count in a trend, and residuals times it."""
+        free, noise = np.isfinite(self.fit.standard_error), self.noise
+        if self.residual.size < FEWEST_ROWS or not free.any():
+            return None
+        # half of the growth: rows of small force would hide a misfit of the larger ones
+        grows = noise is not None and noise.power > 0
+        size = self.weight if noise is None or not grows else 1 / np.sqrt(noise.relative)
+        jacobian = size[:, None] * self.slopes[:, free]
+        if not np.all(np.linalg.norm(jacobian, axis=0) > 0):
+            return None
+        return size, Series(size * self.residual, jacobian, jacobian.T)
+
+    @cached_property
     def far(self) -> NDArray[np.intp]:
         """Places of rows far from their neighbors."""
         if self.states is not None:
@@ -322,37 +334,25 @@ def adequacy(
         return Adequacy("does not describe", (f"the search has no minimum: {fit.message}",))
     findings: list[_Finding] = [(_GRADES.index(grade), why, ()) for grade, why in more]
     findings += _of_bounds(fit)
+    numbers = tests or range(len(measured))
     recordings = [
-        _Recording(
-            test.label,
-            number,
-            rows,
-            force,
-            weight,
-            slopes,
-            is_robust=test.loss != "linear",
-            states=test.states if len(rows) == len(test.curve) else None,
-        )  # fmt: skip
-        for test, curve, number in zip(
-            measured, fit.curves, tests or range(len(measured)), strict=True
-        )
+        _Recording(fit, test.label, number, weight, rows, force, slopes, test.loss != "linear",
+                   test.states if len(rows) == len(test.curve) else None)
+        for test, curve, number in zip(measured, fit.curves, numbers, strict=True)
         for weight, rows, force, slopes in recorded_rows(test, curve, fit.names)
-    ]
+    ]  # fmt: skip
     # a robust loss may leave out single rows, and no line that they follow
     judged = [r.without_far() if r.is_robust else r for r in recordings]
     groups = [[r for r in judged if r.test == t] for t in dict.fromkeys(r.test for r in judged)]
-    findings += _of_strays(fit, measured, tests)
+    findings += _of_strays(fit, measured, numbers)
     findings += _of_size(fit, groups)
-    findings += [
-        finding
-        for recording in recordings
-        for part in recording.parts
-        for finding in _of_rows(part)
-    ]
-    findings += _of_trend(fit, groups)
+    for recording in recordings:
+        for part in recording.parts:
+            findings += _of_rows(part)
+    findings += _of_trend(groups)
     findings += _of_conflict(fit, groups)
     # what specimens of one test differ by is no lack of fit of each
-    is_pooled = len(set(tests)) < len(tests)
+    is_pooled = len(set(numbers)) < len(numbers)
     if lack and not is_pooled and max(lack.p_independent, lack.p_dependent) < _CLEAR:
         why = f"repeats scatter less than the model misses them ({p_phrase(lack.p_dependent)})"
         findings.append((1, f"{why}: take an energy with more constants", ()))
@@ -367,25 +367,24 @@ def adequacy(
     )
 
 
-def _of_strays(fit: Fit, measured: Sequence[MeasuredCurve], tests: Sequence[int]) -> list[_Finding]:
+def _of_strays(
+    fit: Fit, measured: Sequence[MeasuredCurve], tests: Sequence[int]
+) -> Iterator[_Finding]:
     """Find repeats, and specimens of one test, whose forces are a multiple of the others'."""
-    out: list[_Finding] = []
     specimens: dict[int, dict[str, float]] = {}
-    for k, (test, predicted) in enumerate(zip(measured, fit.curves, strict=True)):
+    for test, predicted, number in zip(measured, fit.curves, tests, strict=True):
         expected = predicted.force_at(test.curve.displacement_mm)
         share = expected / float(expected @ expected)
         repeats = {
-            f"{test.label}, repeat {number}": float(
+            f"{test.label}, repeat {repeat}": float(
                 share @ np.interp(test.curve.places, rows.places, rows.force_N)
             )
-            for number, rows in enumerate(test.curve.recorded, 1)
+            for repeat, rows in enumerate(test.curve.recorded, 1)
         }
-        out += apart(repeats, _REPEATS_APART)
-        of_test = specimens.setdefault(tests[k] if tests else k, {})
-        of_test[test.label] = float(share @ test.curve.force_N)
+        yield from apart(repeats, _REPEATS_APART)
+        specimens.setdefault(number, {})[test.label] = float(share @ test.curve.force_N)
     for scales in specimens.values():
-        out += apart(scales, _SPECIMENS_APART if len(scales) > 2 else _FAR_APART)
-    return out
+        yield from apart(scales, _SPECIMENS_APART if len(scales) > 2 else _FAR_APART)
 
 
 def apart(scales: Mapping[str, float], most: float) -> list[_Finding]:
@@ -397,18 +396,15 @@ def apart(scales: Mapping[str, float], most: float) -> list[_Finding]:
         return []
     logarithms = np.log(np.maximum(sizes / usual, _ROUNDING))
     scatter = 0.0 if sizes.size == 2 else 1.48 * float(np.median(np.abs(logarithms)))
-    places = []
-    for k, logarithm in enumerate(logarithms):
-        others = np.delete(logarithms, k)
-        rest = float(np.std(others, ddof=1)) if others.size > 1 else 0.0
-        excused = max(math.log(_FAR_APART), _BEYOND_REST * rest)
-        if abs(logarithm) > max(math.log(most), min(_BEYOND_OTHERS * scatter, excused)):
-            places.append(k)
+    others = [np.delete(logarithms, k) for k in range(sizes.size)]
+    rest = np.array([np.std(each, ddof=1) if each.size > 1 else 0.0 for each in others])
+    excused = np.maximum(math.log(_FAR_APART), _BEYOND_REST * rest)
+    limit = np.maximum(math.log(most), np.minimum(_BEYOND_OTHERS * scatter, excused))
     mend = "check units, sign and specimen of its rows, or leave it out"
-    labels = tuple(scales)
     return [
-        (1, f"{labels[k]}: its forces are {sizes[k] / usual:.2g} times the others': {mend}", ())
-        for k in places
+        (1, f"{label}: its forces are {size / usual:.2g} times the others': {mend}", ())
+        for label, size, is_off in zip(scales, sizes, np.abs(logarithms) > limit, strict=True)
+        if is_off
     ]
 
 
@@ -422,31 +418,33 @@ def _of_bounds(fit: Fit) -> list[_Finding]:
     return [(1, f"{', '.join(held)}: {mend}", ())] if held else []
 
 
-def _of_size(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
+def _of_size(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> Iterator[_Finding]:
     """Find a root mean square error beyond the scatter of rows, repeats and specimens."""
-    out: list[_Finding] = []
     if fit.r_squared < 0:
         why = f"the mean force describes the rows better (R2 = {fit.r_squared:.2f})"
-        out.append((2, f"{why}: check displacement_zero, sign, range and units of the columns", ()))
+        yield 2, f"{why}: check displacement_zero, sign, range and units of the columns", ()
     for group in groups:
         squares = sum(float(np.sum((r.weight * r.residual) ** 2)) for r in group)
         force = sum(float(np.sum(r.weighted_force**2)) for r in group)
         error, scatter = math.sqrt(squares / force), math.sqrt(_scatter(group) / force)
         if error > _LARGE_ERROR and error > _BEYOND_NOISE * scatter:
-            label = ", ".join(dict.fromkeys(r.label for r in group[:3]))
-            out.append((2, (
-                f"{label}: the RMS error is {100 * error:.3g} % of the RMS force, and rows scatter "
-                f"by {100 * scatter:.2g} %: check units, range and single rows, then the energy"
-            ), ()))  # fmt: skip
-    return out
+            why = (
+                f"{_labels(group)}: the RMS error is {100 * error:.3g} % of the RMS force, and "
+                f"rows scatter by {100 * scatter:.2g} %: check units, range and single rows, then "
+                "the energy"
+            )
+            yield 2, why, ()
+
+
+def _labels(group: Sequence[_Recording]) -> str:
+    return ", ".join(dict.fromkeys(r.label for r in group[:3]))
 
 
 def _scatter(group: Sequence[_Recording]) -> float:
     """Sum of squares that rows and the differences of recordings leave, weighted."""
-    total = 0.0
-    for recording in group:
-        if recording.noise is not None:
-            total += float(np.sum((recording.weight * recording.noise.deviation) ** 2))
+    total = sum(
+        float(np.sum((r.weight * r.noise.deviation) ** 2)) for r in group if r.noise is not None
+    )
     if len(group) > 1:
         grid, rows = _on_one_grid(group)
         apart = rows - rows.mean(axis=0)
@@ -461,11 +459,11 @@ def _on_one_grid(group: Sequence[_Recording]) -> tuple[Array, Array]:
     return grid, np.array([np.interp(grid, r.rows.places, r.weight * r.residual) for r in group])
 
 
-def _of_rows(recording: _Recording) -> list[_Finding]:
+def _of_rows(recording: _Recording) -> Iterator[_Finding]:
     """Single rows far from their neighbors, or a step at which forces jump."""
     noise, places = recording.noise, recording.far
     if noise is None or not places.size:
-        return []
+        return
     largest = float(np.abs(recording.rows.force_N).max())
     size = np.abs(noise.distance * noise.deviation)
     columns = (recording.rows.displacement_mm, recording.rows.force_N, recording.predicted_N)
@@ -479,27 +477,26 @@ def _of_rows(recording: _Recording) -> list[_Finding]:
         where = "; ".join(
             f"rows {k + 1} and {k + 2}, {d[k]:.4g} and {d[k + 1]:.4g} mm" for k in steps[:4]
         )
-        first = "it" if len(steps) == 1 else "the first"
-        return [(1, (
-            f"{recording.label}: the force jumps by {'up to ' if len(steps) > 1 else ''}"
-            f"{jumps.max():.3g} N between {where}: the specimen slipped or tore there: "
-            f"write the range before {first}"
-        ), rows)]  # fmt: skip
+        most, first = ("", "it") if len(steps) == 1 else ("up to ", "the first")
+        why = (
+            f"{recording.label}: the force jumps by {most}{jumps.max():.3g} N between {where}: "
+            f"the specimen slipped or tore there: write the range before {first}"
+        )
+        yield 1, why, rows
+        return
     gone = float(np.sum(recording.residual[places] ** 2) / np.sum(recording.residual**2))
     mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
     grade = 2 if gone > 0.5 and size.max() > 0.2 * largest else 1
     if recording.is_robust:
         mend, grade = "the loss lets them count for little", 0
-    is_one = places.size == 1
+    row, verb = ("row", "is") if places.size == 1 else ("rows", "are")
     shown = f"{100 * gone:.0f}" if gone > 0.1 else f"{100 * gone:.2g}"
     why = (
-        f"{recording.label}: {'row' if is_one else 'rows'} {listed} of "
-        f"{recording.rows.places.size} "
-        f"{'is' if is_one else 'are'} off by up to {size.max():.3g} N where neighbors scatter by "
-        f"{float(np.median(noise.deviation)):.2g} N, {shown} % of the sum of squares: "
-        f"{mend}"
+        f"{recording.label}: {row} {listed} of {recording.rows.places.size} {verb} off by up to "
+        f"{size.max():.3g} N where neighbors scatter by "
+        f"{float(np.median(noise.deviation)):.2g} N, {shown} % of the sum of squares: {mend}"
     )
-    return [(grade, why, rows)]
+    yield grade, why, rows
 
 
 def _steps(residual: Array, places: NDArray[np.intp]) -> list[int]:
@@ -511,10 +508,8 @@ def _steps(residual: Array, places: NDArray[np.intp]) -> list[int]:
     for k in range(_SIDE - 1, residual.size - _SIDE):
         if not {k, k + 1} & set(places.tolist()):
             continue
-        before, after = (
-            residual[max(k + 1 - 2 * _SIDE, 0) : k + 1],
-            residual[k + 1 : k + 1 + 2 * _SIDE],
-        )
+        before = residual[max(k + 1 - 2 * _SIDE, 0) : k + 1]
+        after = residual[k + 1 : k + 1 + 2 * _SIDE]
         jump, level = abs(float(residual[k + 1] - residual[k])), float(np.median(before))
         beyond = float(np.median(after))
         ends = max(abs(float(residual[k]) - level), abs(float(residual[k + 1]) - beyond))
@@ -524,17 +519,17 @@ def _steps(residual: Array, places: NDArray[np.intp]) -> list[int]:
     return steps if is_all else []
 
 
-def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
+def _of_trend(groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
     """Residuals that follow a smooth line which no drift of the rows explains."""
     out: list[_Finding] = []
     judged = [(group, *_common_trend(group)) for group in groups if len(group) > 1]
     stepped: list[str] = []
     for group in groups:
         for recording in group:
-            step, by_step = _step_of_one(fit, recording)
+            step, by_step = _step_of_one(recording)
             if not step and len(group) > 1:
                 continue
-            p, line, explained = _trend_of_one(fit, recording)
+            p, line, explained = _trend_of_one(recording)
             # what bends smoothly is no step
             if step and by_step > explained:
                 stepped.append(step)
@@ -545,16 +540,16 @@ def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding
         share = math.sqrt(float(np.mean(line**2) / np.mean(force**2))) if line.size else 0.0
         if p >= _CLEAR or share < _NAMED:
             continue
-        label = ", ".join(dict.fromkeys(r.label for r in group[:3]))
         grade = 2 if p < _CLEARER and share > _TREND else 1
         why = (
-            f"{label}: the residuals follow a line of {100 * share:.2g} % of the RMS force that is "
-            f"neither noise nor drift ({p_phrase(p)}): take another energy, or a shorter range"
+            f"{_labels(group)}: the residuals follow a line of {100 * share:.2g} % of the RMS "
+            f"force that is neither noise nor drift ({p_phrase(p)}): take another energy, or a "
+            "shorter range"
         )
         out.append((grade, why, ()))
     # each direction of a biaxial test has a load cell of its own
     alone = [group[0] for group in groups if len(group) == 1 and group[0].states is None]
-    drifts = [_shift_of_one(fit, r) for r in alone if not (out or stepped)]
+    drifts = [_shift_of_one(r) for r in alone if not (out or stepped)]
     return [*out, *((1, why, ()) for why in (*stepped, *drifts) if why)]
 
 
@@ -568,7 +563,7 @@ def _of_conflict(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Find
     if not free.any():
         return []
     if max(map(len, groups)) > 1:
-        labels = [", ".join(dict.fromkeys(r.label for r in group[:3])) for group in groups]
+        labels = [_labels(group) for group in groups]
         p, shares = _conflict_of_specimens(groups, free)
     else:
         parts = [part for group in groups for part in group[0].parts]
@@ -665,24 +660,9 @@ def _shares_of_slopes(group: Sequence[_Recording], free: NDArray[np.bool_]) -> t
     return shares, basis.T @ jacobian
 
 
-def _by_noise(fit: Fit, recording: _Recording) -> tuple[Array, Series] | None:
-    """Factor by which the rows of a recording count in a trend, and residuals times it."""
-    free = np.isfinite(fit.standard_error)
-    if recording.residual.size < FEWEST_ROWS or not free.any():
-        return None
-    noise = recording.noise
-    # half of the growth: rows of small force would hide a misfit of the larger ones
-    grows = noise is not None and noise.power > 0
-    size = recording.weight if noise is None or not grows else 1 / np.sqrt(noise.relative)
-    jacobian = size[:, None] * recording.slopes[:, free]
-    if not np.all(np.linalg.norm(jacobian, axis=0) > 0):
-        return None
-    return size, Series(size * recording.residual, jacobian, jacobian.T)
-
-
-def _trend_of_one(fit: Fit, recording: _Recording) -> tuple[float, Array, float]:
+def _trend_of_one(recording: _Recording) -> tuple[float, Array, float]:
     """P that one recording holds no trend, the trend, and its sum of squares by noise."""
-    if (counted := _by_noise(fit, recording)) is None:
+    if (counted := recording.by_noise) is None:
         return 1.0, np.zeros(0), 0.0
     size, series = counted
     terms = min(_MOST_TERMS, max(_FEWEST_TERMS, size.size // _ROWS_A_TERM))
@@ -692,7 +672,7 @@ def _trend_of_one(fit: Fit, recording: _Recording) -> tuple[float, Array, float]
     return p, recording.weight * line / size, float(line @ line)
 
 
-def _shift_of_one(fit: Fit, recording: _Recording) -> str:
+def _shift_of_one(recording: _Recording) -> str:
     """Say by how much a drift in proportion to time, or a zero, moves constants beyond an interval.
 
     Constants take up most of a drift, so that little of it is left in the residuals: with 5 %
@@ -700,27 +680,23 @@ def _shift_of_one(fit: Fit, recording: _Recording) -> str:
     tests (100 rows: in all), beside noise of 1 % in 1 of 80, with two constants and 100 rows in 3
     of 8 (``validation/calibrations.py``).
     """
-    if (counted := _by_noise(fit, recording)) is None:
+    if (counted := recording.by_noise) is None:
         return ""
     rows = counted[0].size
-    drift, zero = (
-        _changed_by(fit, recording, *counted, change)
-        for change in (np.linspace(0, 1, rows), np.ones(rows))
-    )
+    drift = _changed_by(recording, *counted, np.linspace(0, 1, rows))
+    zero = _changed_by(recording, *counted, np.ones(rows))
     change = min(drift, zero, key=lambda each: each.p)
     if change.p >= _CLEAR or change.share < _DRIFTS or not change.beyond > 1:
         return ""
-    share = f"{100 * change.share:.2g} % of its largest value ({p_phrase(change.p)})"
-    moves = f"which moves {change.constant} by {change.percent:.2g} %, beyond its interval"
+    does, mend = "with a zero that is off", 'write zero = "first" or "fit", or displacement_zero'
+    mend = f"{mend} where the specimen was preloaded or met late"
     if change is drift:
-        return (
-            f"{recording.label}: the residuals are those of a force that drifts by {share}, {moves}"
-            ": compare the load cell's readings before and after the test, or take another energy"
-        )
+        does, mend = "that drifts", "compare the load cell's readings before and after the test"
     return (
-        f"{recording.label}: the residuals are those of a force with a zero that is off by {share}"
-        f', {moves}: write zero = "first" or "fit", or displacement_zero where the specimen was '
-        "preloaded or met late, or take another energy"
+        f"{recording.label}: the residuals are those of a force {does} by "
+        f"{100 * change.share:.2g} % of its largest value ({p_phrase(change.p)}), which moves "
+        f"{change.constant} by {change.percent:.2g} %, beyond its interval: {mend}, or take "
+        "another energy"
     )
 
 
@@ -739,11 +715,9 @@ class _ChangedForce:
     beyond: float
 
 
-def _changed_by(
-    fit: Fit, recording: _Recording, size: Array, series: Series, change: Array
-) -> _ChangedForce:
+def _changed_by(recording: _Recording, size: Array, series: Series, change: Array) -> _ChangedForce:
     """Fit a change of the force beside the constants; rows count by ``size``."""
-    column = size * change
+    fit, column = recording.fit, size * change
     p, _ = trend([series], [column[:, None]], explained=_ROUNDING)
     scale = np.linalg.norm(series.jacobian, axis=0)
     both = np.column_stack([series.jacobian / scale, column])
@@ -760,40 +734,39 @@ def _changed_by(
     )
 
 
-def _step_of_one(fit: Fit, recording: _Recording) -> tuple[str, float]:
+def _step_of_one(recording: _Recording) -> tuple[str, float]:
     """Say where the force changes to another level; and the sum of squares that this explains.
 
     It changes at once, as where a load cell is set to zero, or over some rows, as where a specimen
     slips. Of all places the one is taken that explains most, for which p counts. Rows drift, too,
     so that p is that of a level beside an autoregression (:func:`trend`).
     """
+    none = "", 0.0
     # rows of a biaxial test may come in any order; far rows are named with a step that they show
     is_open = recording.states is None and not recording.far.size
     if not is_open or recording.residual.size < _STEP_ROWS:
-        return "", 0.0
-    if (counted := _by_noise(fit, recording)) is None:
-        return "", 0.0
+        return none
+    if (counted := recording.by_noise) is None:
+        return none
     size, series = counted
     level, explained = _best_level(size, series)
     if level is None:
-        return "", 0.0
-    step = _changed_by(fit, recording, size, series, level)
+        return none
+    step = _changed_by(recording, size, series, level)
     p = -math.expm1(min(size.size, _MOST_PLACES) * math.log1p(-min(step.p, 0.5)))
     p = max(p, _p_of_levels(series, size * level))
     if p >= _CLEAR or step.share < _NAMED or not (step.share >= _OFF or step.beyond > 1):
-        return "", 0.0
+        return none
     first, last = np.flatnonzero(level == 0)[-1], np.flatnonzero(level == 1)[0]
     d = recording.rows.displacement_mm
-    cause = "slipped, or the load cell was set to zero: write the range before it"
+    cause, mend = "slipped, or the load cell was set to zero", ""
     if last - first > _SIDE:
-        cause = (
-            "slipped gradually, or follows another law: write the range before it, or take another "
-            "energy"
-        )
+        cause, mend = "slipped gradually, or follows another law", ", or take another energy"
     why = (
         f"{recording.label}: the force changes by {step.size_N:+.3g} N between rows {first + 1} "
         f"and {last + 1}, {d[first]:.4g} and {d[last]:.4g} mm, and stays there ({p_phrase(p)}), "
-        f"which moves {step.constant} by {step.percent:.2g} %: the specimen {cause}"
+        f"which moves {step.constant} by {step.percent:.2g} %: the specimen {cause}: write the "
+        f"range before it{mend}"
     )
     return why, explained
 
@@ -952,7 +925,7 @@ def agreement(fits: Sequence[Fit], extra: Sequence[Array] = ()) -> FitAgreement:
     _comparable(fits)
     values = np.array([fit.values for fit in fits])
     total, from_rows = _drawn(fits, extra)
-    inverses = _inverse(total)
+    inverses = inverse(total)
     statistics = _sum(_distances(values, inverses)[0], inverses)
     df = len(fits[0].names) * (len(fits) - 1)
     freedom = [fit.n - len(fit.names) for fit in fits]
@@ -961,7 +934,7 @@ def agreement(fits: Sequence[Fit], extra: Sequence[Array] = ()) -> FitAgreement:
     df_error = _denominator(total, from_rows, freedom)
     return FitAgreement(
         common=common[0],
-        covariance=_inverse(weights.sum(axis=0)),
+        covariance=inverse(weights.sum(axis=0)),
         statistic=float(_sum(distances, weights[:, None])[0]),
         df=df,
         df_error=float(np.median(df_error)),
@@ -1008,7 +981,7 @@ def _comparable(fits: Sequence[Fit]) -> None:
         )
 
 
-def _inverse(matrix: Array) -> Array:
+def inverse(matrix: Array) -> Array:
     """Inverse of covariances, scaled: moduli and exponents differ by orders of magnitude."""
     scale = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
     outer = scale[..., :, None] * scale[..., None, :]

@@ -47,15 +47,10 @@ def checked_bounds(start: Array, bounds: Bounds) -> tuple[Array, Array]:
     if pairs.shape != (start.size, 2) or np.any(pairs[:, 0] >= pairs[:, 1]):
         raise InputError(Fault("bounds", f"need low < high for {start.size} parameters"))
     outside = np.flatnonzero((start < pairs[:, 0]) | (start > pairs[:, 1]))
-    if outside.size:
-        rules = [
-            f"{start[i]:g} lies outside its bounds {pairs[i, 0]:g} to {pairs[i, 1]:g}"
-            for i in outside
-        ]
-        mend = "start inside them or widen them"
-        raise InputError(
-            [Fault(f"start[{i}]", rule, mend) for i, rule in zip(outside, rules, strict=True)]
-        )
+    rule, mend = "{:g} lies outside its bounds {:g} to {:g}", "start inside them or widen them"
+    faults = [Fault(f"start[{i}]", rule.format(start[i], *pairs[i]), mend) for i in outside]
+    if faults:
+        raise InputError(faults)
     return pairs[:, 0].copy(), pairs[:, 1].copy()
 
 

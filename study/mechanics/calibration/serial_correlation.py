@@ -384,12 +384,9 @@ def _propagated(series: Sequence[Series], rho: Array) -> Array:
     spectra = [np.fft.rfft(part.influence, size, axis=1) for part in series]
     power_spectrum = sum(s[:, None] * s[None].conj() for s in spectra)
     products = np.fft.irfft(power_spectrum, size, axis=2)[..., :rows]
-    out = np.ones((rho.size, rows))
-    sign, factor = 1, rho[:, None]
-    while sign < rows:
-        out[:, sign : 2 * sign] = out[:, : min(sign, rows - sign)] * factor
-        sign, factor = 2 * sign, factor**2
-    weight = out
+    weight = np.ones((rho.size, rows))
+    weight[:, 1:] = rho[:, None]
+    np.cumprod(weight, axis=1, out=weight)
     weight[:, 0] = 0.5
     half = (weight @ products.reshape(p * p, rows).T).reshape(rho.size, p, p)
     return np.asarray((half + half.transpose(0, 2, 1)) / (1 - rho**2)[:, None, None])

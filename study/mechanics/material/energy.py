@@ -218,6 +218,10 @@ class IsochoricEnergy(Energy):
     logarithmic stretches, where the derivative of s is symmetric.
     """
 
+    #: Whether it is a convex function of the stretches, as far as it reaches, where all constants
+    #: are positive.
+    is_convex: ClassVar[bool] = False
+
     @abstractmethod
     def principal_stress(self, constants: Constants, bar: Array) -> Array:
         """Return s_i in MPa, up to a common constant that the deviator drops.
@@ -265,7 +269,7 @@ class IsochoricEnergy(Energy):
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Whether it is known to be strongly elliptic at every stretch; False says nothing."""
-        return False
+        return self.is_convex and all(value > 0 for value in constants.values())
 
     def always_stable(self, constants: Constants) -> bool:
         """Whether Drucker's criterion is known to hold at every stretch; False says nothing."""
@@ -321,12 +325,15 @@ class Constant:
         Closed range within which the energy is defined and a fit looks, MPa or plain.
     is_dimensionless : bool
         Whether it is a plain number and no modulus.
+    start : float
+        Where a fit begins; of moduli only their ratios matter.
     """
 
     name: str
     low: float
     high: float
     is_dimensionless: bool = False
+    start: float = 1.0
 
 
 class DeclaredConstants(Energy):
@@ -357,6 +364,12 @@ class DeclaredConstants(Energy):
                 rule = f"{self.name} takes {name} from {declared.low:g} to {declared.high:g}{unit}"
                 broken[name] = f"{rule}, got {value:g}"
         return broken
+
+    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
+        """Return the declared starts, all moduli multiplied to the shear modulus."""
+        unit = {constant.name: constant.start for constant in self.declared}
+        scale = shear_modulus / self.initial_shear_modulus(unit, Compressibility())
+        return {n: v if self.is_dimensionless(n) else scale * v for n, v in unit.items()}
 
     def _named(self, constant: str) -> Constant:
         return next(item for item in self.declared if item.name == constant)

@@ -6,7 +6,6 @@ derivatives by their constants, so that one compiled law serves them all.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +63,8 @@ class Fung(DeclaredConstants, InvariantEnergy):
 
     name = "fung"
     shear_modulus_formula = "mu"
-    declared = (Constant("mu", 0.0, np.inf), Constant("b", 1e-6, 1e4, True))
+    declared = (Constant("mu", 0.0, np.inf), Constant("b", 1e-6, 1e4, True, STARTING_STIFFENING))
+    is_convex = True
 
     def form(self, constants: Constants) -> Exponential:
         """Return mu / (2 b) of the exponential function."""
@@ -77,14 +77,6 @@ class Fung(DeclaredConstants, InvariantEnergy):
         if name == "mu":
             return Exponential(0.5 / b, 0.0, b)
         return Exponential(-0.5 * mu / b**2, 0.5 * mu / b, b)
-
-    def always_elliptic(self, constants: Constants) -> bool:
-        """Whether it is a convex function of the stretches."""
-        return constants["mu"] > 0 and constants["b"] > 0
-
-    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
-        """Little stiffening."""
-        return {"mu": shear_modulus, "b": STARTING_STIFFENING}
 
 
 # Energy of skin: W = C1 (exp(C2 (I1 - 3)) - 1) - C1 C2 / 2 (I2 - 3), Veronda and Westmann (1970,
@@ -100,7 +92,7 @@ class VerondaWestmann(DeclaredConstants, InvariantEnergy):
 
     name = "veronda-westmann"
     shear_modulus_formula = "C1 C2"
-    declared = (Constant("C1", 0.0, np.inf), Constant("C2", 1e-6, 1e4, True))
+    declared = (Constant("C1", 0.0, np.inf), Constant("C2", 1e-6, 1e4, True, STARTING_STIFFENING))
 
     def form(self, constants: Constants) -> Exponential:
         """C1 of the exponential function, -C1 C2 / 2 of the second invariant."""
@@ -113,7 +105,3 @@ class VerondaWestmann(DeclaredConstants, InvariantEnergy):
         if name == "C1":
             return Exponential(1.0, 0.0, c2, -0.5 * c2)
         return Exponential(0.0, c1, c2, -0.5 * c1)
-
-    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
-        """Little stiffening."""
-        return {"C1": shear_modulus / STARTING_STIFFENING, "C2": STARTING_STIFFENING}

@@ -318,8 +318,7 @@ def _simple_shear(material: Material, shear: Array, prestretch: float = 1.0) -> 
     if material.small_strain:
         slopes = material.mu0_gradient()
         return Loaded(material.mu0 * shear, {name: slope * shear for name, slope in slopes.items()})
-    longest, across, shortest = sheared_stretches(shear, prestretch)
-    bar = np.stack([longest, across, shortest])
+    longest, _, shortest = bar = np.stack(sheared_stretches(shear, prestretch))
 
     def sheared(principal: Array) -> Array:
         """P_12 = shear (tau_1 - tau_3) / (l_1^2 - l_3^2), through the principal stretches."""

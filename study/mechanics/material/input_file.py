@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from study.ground.errors import Fault, InputError, nearest
@@ -189,7 +189,7 @@ def abaqus_text(material: Material, name: str) -> str:
     """Write the lines of a material for an Abaqus input file."""
     converted = convert(material, "abaqus")
     keyword, values = _abaqus_values(material, converted)
-    lines = [f"** {line}" for remark in remarks(material, converted) for line in _wrapped(remark)]
+    lines = [f"** {line}" for line in _head(material, converted)]
     lines += [f"*Material, name={name}"]
     lines += [keyword + (", moduli=instantaneous" if material.relaxation else "")]
     rows = [values[k : k + _PER_LINE] for k in range(0, len(values), _PER_LINE)]
@@ -228,55 +228,47 @@ def febio_text(material: Material, name: str) -> str:
     if len(material.relaxation) > MOST_OF_FEBIO:
         rule = f"FEBio takes {MOST_OF_FEBIO} terms at most, got {len(material.relaxation)}"
         raise InputError(Fault("material.relaxation", rule, "calibrate fewer terms"))
-    lines = [line for remark in remarks(material, converted) for line in _wrapped(remark)]
-    inner = _febio_material(material, converted, name)
-    return "\n".join(
-        [
-            '<?xml version="1.0" encoding="UTF-8"?>',
-            "<!--",
-            *lines,
-            "-->",
-            '<febio_spec version="4.0">',
-            '  <Module type="solid"/>',
-            "  <Material>",
-            *(f"    {line}" for line in inner),
-            "  </Material>",
-            "</febio_spec>",
-            "",
-        ]
-    )
+    kind, inner = _febio_material(material, converted)
+    return _FEBIO_FILE.format(
+        remarks="\n".join(_head(material, converted)), name=name, kind=kind,
+        inner="\n".join(f"    {line}" for line in inner),
+    )  # fmt: skip
 
 
-def _febio_material(material: Material, converted: Converted, name: str) -> list[str]:
-    constants = {n: v for n, v in converted.constants.items() if n != "k"}
-    head = f'<material id="1" name="{name}"'
+_FEBIO_FILE = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<!--
+{remarks}
+-->
+<febio_spec version="4.0">
+  <Module type="solid"/>
+  <Material>
+    <material id="1" name="{name}" type="{kind}">
+{inner}
+    </material>
+  </Material>
+</febio_spec>
+"""
+
+
+def _febio_material(material: Material, converted: Converted) -> tuple[str, list[str]]:
+    """Type of a material, and the lines in it."""
+    bulk, kind = material.bulk, converted.keyword
+    constants = _elements({n: v for n, v in converted.constants.items() if n != "k"})
     if material.small_strain:
-        return [f'{head} type="{converted.keyword}">', *_elements(constants), "</material>"]
-    bulk = material.bulk
+        return kind, constants
     volume = {"k": bulk if math.isfinite(bulk) else NEARLY_INCOMPRESSIBLE * material.mu0}
     around = [*_elements(volume), "  <pressure_model>Abaqus</pressure_model>"]
     if not material.relaxation:
-        return [
-            f'{head} type="{converted.keyword}">',
-            *_elements(constants),
-            *around,
-            "</material>",
-        ]
+        return kind, [*constants, *around]
     fading = {"g0": long_term_share(material.relaxation)}
     fading |= {f"g{k}": float(v) for k, v in enumerate(shares(material.relaxation), 1)}
     fading |= {f"t{k}": float(v) for k, v in enumerate(times(material.relaxation), 1)}
-    return [
-        f'{head} type="uncoupled viscoelastic">',
-        *around,
-        *_elements(fading),
-        f'  <elastic type="{converted.keyword}">',
-        *(f"  {line}" for line in _elements(constants)),
-        "  </elastic>",
-        "</material>",
-    ]
+    elastic = [f'  <elastic type="{kind}">', *(f"  {e}" for e in constants), "  </elastic>"]
+    return "uncoupled viscoelastic", [*around, *_elements(fading), *elastic]
 
 
-def _elements(values: Mapping[str, float]) -> Sequence[str]:
+def _elements(values: Mapping[str, float]) -> list[str]:
     return [f"  <{name}>{_number(value)}</{name}>" for name, value in values.items()]
 
 
@@ -286,5 +278,5 @@ def _number(value: float) -> str:
     return text if re.search(r"[.e]", text) else f"{text}."
 
 
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH)
+def _head(material: Material, converted: Converted) -> list[str]:
+    return [line for text in remarks(material, converted) for line in textwrap.wrap(text, _WIDTH)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,16 +55,14 @@ class Pole(Form):
         return np.where(gap > 0, 1 / np.where(gap > 0, gap, 1.0), np.nan)
 
 
-#: Jm that a fit starts from: of natural rubber, which tears before a uniaxial stretch of 10
-STARTING_LIMIT = 100.0
-
-
 class Gent(DeclaredConstants, InvariantEnergy):
     """Initial shear modulus mu and limit Jm of I1 - 3; neo-Hookean where Jm is large."""
 
     name = "gent"
     shear_modulus_formula = "mu"
-    declared = (Constant("mu", 0.0, np.inf), Constant("Jm", 1e-4, 1e7, True))
+    # a fit starts from natural rubber, which tears before a uniaxial stretch of 10
+    declared = (Constant("mu", 0.0, np.inf), Constant("Jm", 1e-4, 1e7, True, start=100.0))
+    is_convex = True
 
     def form(self, constants: Constants) -> Pole:
         """dW/dI1 = mu / 2 Jm / (Jm - I1 + 3)."""
@@ -79,14 +76,6 @@ class Gent(DeclaredConstants, InvariantEnergy):
         half = constants["mu"] * e / 2
         return Pole(e, half, -half)
 
-    def always_elliptic(self, constants: Constants) -> bool:
-        """Whether it is a convex function of the stretches, as far as it reaches."""
-        return constants["mu"] > 0 and constants["Jm"] > 0
-
-    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
-        """Chains that are far from their end."""
-        return {"mu": shear_modulus, "Jm": STARTING_LIMIT}
-
 
 # Eight-chain energy of Arruda and Boyce (1993) in five terms: W = mu sum C_k / lambda_m^(2k-2)
 # (I1^k - 3^k), C = 1/2, 1/20, 11/1050, 19/7000, 519/673750 (Abaqus Theory Guide, 4.6.1). The
@@ -99,16 +88,15 @@ POWERS = np.zeros((5, 6))
 for _k in range(1, 6):
     POWERS[_k - 1, 1 : _k + 1] = polynomial.polypow([3.0, 1.0], _k)[1:]
 
-#: locking stretch that a fit starts from: beyond what most rubbers are tested to
-STARTING_STRETCH = 5.0
-
 
 class ArrudaBoyce(DeclaredConstants, InvariantEnergy):
     """Modulus mu and locking stretch lambda_m; mu0 is larger than mu."""
 
     name = "arruda-boyce"
     shear_modulus_formula = "mu (1 + 3/(5 lambda_m^2) + 99/(175 lambda_m^4) + ...)"
-    declared = (Constant("mu", 0.0, np.inf), Constant("lambda_m", 1.0, 1e3, True))
+    # a fit starts beyond the stretch that most rubbers are tested to
+    declared = (Constant("mu", 0.0, np.inf), Constant("lambda_m", 1.0, 1e3, True, start=5.0))
+    is_convex = True
 
     def form(self, constants: Constants) -> PolynomialTable:
         """Expand the powers of I1 about 3."""
@@ -123,16 +111,6 @@ class ArrudaBoyce(DeclaredConstants, InvariantEnergy):
         weights = SERIES * powers * stretch ** (powers - 1)
         return PolynomialTable(np.asarray(constants["mu"] * weights @ POWERS)[:, None])
 
-    def always_elliptic(self, constants: Constants) -> bool:
-        """Every term is convex and rises."""
-        return constants["mu"] > 0
-
-    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
-        """Chains that are far from their end."""
-        unit = {"mu": 1.0, "lambda_m": STARTING_STRETCH}
-        scale = 2 * float(self.form(unit).coefficients[1, 0])
-        return unit | {"mu": shear_modulus / scale}
-
 
 # Kilian's van der Waals energy in the form of Abaqus (Theory Guide, 4.6.1).
 #     W = mu (-(lambda_m^2 - 3) (ln(1 - eta) + eta) - 2/3 a ((I - 3) / 2)^(3/2)),
@@ -141,9 +119,6 @@ class ArrudaBoyce(DeclaredConstants, InvariantEnergy):
 # Kilian, Enderle and Unseld (1986, Colloid Polym. Sci. 264, 866-876). A state beyond eta = 1, a
 # stretch of chains beyond lambda_m, has no stress.
 
-#: starts of a fit: I1 may reach 100, little interaction, the first invariant alone
-STARTING_LOCKING_STRETCH = 10.0
-STARTING_INTERACTION = 0.1
 #: mixed invariant less 3 below which its root is that of rounding
 _REST = 1e-30
 
@@ -219,10 +194,11 @@ class VanDerWaals(DeclaredConstants, InvariantEnergy):
     shear_modulus_formula = "mu"
     declared = (
         Constant("mu", 0.0, np.inf),
-        # sqrt(3) is a solid that cannot be stretched at all
-        Constant("lambda_m", 1.7321, 1e3, True),
-        Constant("a", -10.0, 10.0, True),
-        Constant("beta", 0.0, 1.0, True),
+        # sqrt(3) is a solid that cannot be stretched at all; a fit starts where I1 may reach 100,
+        # with little interaction and from the first invariant alone
+        Constant("lambda_m", 1.7321, 1e3, True, start=10.0),
+        Constant("a", -10.0, 10.0, True, start=0.1),
+        Constant("beta", 0.0, 1.0, True, start=0.0),
     )
 
     def form(self, constants: Constants) -> Chains:
@@ -240,10 +216,3 @@ class VanDerWaals(DeclaredConstants, InvariantEnergy):
         if name == "a":
             return replace(whole, p=0.0, s=-half * _ROOT_HALF)
         return MixtureRate(whole.room, whole.beta, whole.p, whole.q, whole.s)
-
-    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
-        """Chains that are far from their end, and hardly interact."""
-        return {
-            "mu": shear_modulus, "lambda_m": STARTING_LOCKING_STRETCH,
-            "a": STARTING_INTERACTION, "beta": 0.0,
-        }  # fmt: skip

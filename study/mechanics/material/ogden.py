@@ -194,24 +194,23 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
 
     def law(self, constants: Constants, compressibility: Compressibility) -> Law:
         """Refuse: the mixed form needs an energy that splits."""
-        raise _no_elements()
+        rule = f"{self.name} has no isochoric part that finite elements could take for itself"
+        mend = 'write specimen.shape = "homogeneous", or another energy'
+        raise InputError(Fault("material.model", rule, mend))
 
     def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Refuse, as :meth:`law`."""
-        raise _no_elements()
+        """Refuse, too."""
+        return self.law(constants, compressibility)
 
     def kirchhoff(
         self, constants: Constants, compressibility: Compressibility, stretch: Array
     ) -> Array:
         """Sum of 2 mu / alpha (l^alpha - J^(-alpha b))."""
-        log, b = np.log(stretch), _volume_exponent(compressibility)
-        volume = log.sum(0)
-        return np.asarray(
-            sum(
-                2 * mu / alpha * (np.expm1(alpha * log) - np.expm1(-alpha * b * volume))
-                for mu, alpha in zip(*ogden_terms(constants), strict=True)
-            )
-        )
+        (mu, alpha), log = ogden_terms(constants), np.log(stretch)
+        powers = np.expm1(np.multiply.outer(alpha, log))
+        b = _volume_exponent(compressibility)
+        volume = np.expm1(np.multiply.outer(-alpha * b, log.sum(0)))
+        return np.asarray(np.tensordot(2 * mu / alpha, powers - volume[:, None], 1))
 
     def kirchhoff_slope(
         self,
@@ -221,14 +220,11 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
         direction: Array,
     ) -> Array:
         """Sum of 2 mu (l^alpha v + b J^(-alpha b) sum v)."""
-        log, b, v = np.log(stretch), _volume_exponent(compressibility), direction[:, None]
-        volume = log.sum(0)
-        return np.asarray(
-            sum(
-                2 * mu * (np.exp(alpha * log) * v + b * np.exp(-alpha * b * volume) * v.sum())
-                for mu, alpha in zip(*ogden_terms(constants), strict=True)
-            )
-        )
+        (mu, alpha), log = ogden_terms(constants), np.log(stretch)
+        powers = np.exp(np.multiply.outer(alpha, log)) * direction[:, None]
+        b = _volume_exponent(compressibility)
+        volume = b * np.exp(np.multiply.outer(-alpha * b, log.sum(0))) * direction.sum()
+        return np.asarray(np.tensordot(2 * mu, powers + volume[:, None], 1))
 
     def kirchhoff_gradient(
         self, constants: Constants, compressibility: Compressibility, stretch: Array
@@ -252,12 +248,6 @@ def _volume_exponent(compressibility: Compressibility) -> float:
     return nu / (1 - 2 * nu)
 
 
-def _no_elements() -> InputError:
-    rule = f"{OgdenHill.name} has no isochoric part that finite elements could take for itself"
-    mend = 'write specimen.shape = "homogeneous", or another energy'
-    return InputError(Fault("material.model", rule, mend))
-
-
 # Extended tube energy of Kaliske and Heinrich (1999, Rubber Chem. Technol. 72, 602-632).
 #     W = Gc / 2 ((1 - delta^2) D / (1 - delta^2 D) + ln(1 - delta^2 D))
 #         + 2 Ge / beta^2 (l1^-beta + l2^-beta + l3^-beta - 3),    D = I1 - 3
@@ -265,9 +255,6 @@ def _no_elements() -> InputError:
 # the exponent -beta. mu0 = Gc (1 - 2 delta^2) + Ge.
 
 _ENTANGLEMENT = Ogden()
-#: exponent and inextensibility that a fit starts from: 1 / delta^2 = 400
-STARTING_EXPONENT = 0.5
-STARTING_INEXTENSIBILITY = 0.05
 
 
 class ExtendedTube(DeclaredConstants, InvariantEnergy):
@@ -278,8 +265,8 @@ class ExtendedTube(DeclaredConstants, InvariantEnergy):
     declared = (
         Constant("Gc", 0.0, np.inf),
         Constant("Ge", 0.0, np.inf),
-        Constant("beta", 1e-6, 10.0, True),
-        Constant("delta", 1e-4, 0.7, True),
+        Constant("beta", 1e-6, 10.0, True, start=0.5),
+        Constant("delta", 1e-4, 0.7, True, start=0.05),
     )
 
     def form(self, constants: Constants) -> Pole:
@@ -346,12 +333,10 @@ class ExtendedTube(DeclaredConstants, InvariantEnergy):
         return super().law_rate(constants, compressibility, name)
 
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
-        """Half of the modulus from crosslinks, which are far from their end."""
-        delta = STARTING_INEXTENSIBILITY
-        crosslinks = 0.5 * shear_modulus / (1 - 2 * delta**2)
-        return {
-            "Gc": crosslinks, "Ge": 0.5 * shear_modulus, "beta": STARTING_EXPONENT, "delta": delta
-        }  # fmt: skip
+        """Half of the modulus from crosslinks, which are far from their end at 1 / delta^2."""
+        start = super().starting_values(names, shear_modulus)
+        crosslinks = 0.5 * shear_modulus / (1 - 2 * start["delta"] ** 2)
+        return start | {"Gc": crosslinks, "Ge": 0.5 * shear_modulus}
 
 
 def _term(constants: Constants) -> dict[str, float]:

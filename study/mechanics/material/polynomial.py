@@ -9,6 +9,7 @@ from collections.abc import Collection
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from numpy.polynomial.polyutils import trimseq
 
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
@@ -370,11 +371,7 @@ def _derivative(table: Array, axis: int) -> Array:
 def _columns(table: Array) -> Coefficients:
     """Coefficients of a polynomial in two variables by columns, from the highest power down."""
     # Those of the highest powers that are zero are left out.
-    columns = []
-    for column in table.T[::-1].tolist():
-        while len(column) > 1 and column[-1] == 0.0:
-            column.pop()
-        columns.append(tuple(column[::-1]))
+    columns = [tuple(trimseq(column)[::-1]) for column in table.T[::-1].tolist()]
     while len(columns) > 1 and columns[0] == (0.0,):
         columns.pop(0)
     return tuple(columns)

@@ -22,6 +22,7 @@ from study.mechanics.material.homogeneous import (
     Mode,
     deviator,
     response,
+    sheared_stretches,
 )
 from study.mechanics.material.material import Material
 from study.mechanics.material.relaxation import long_term_share, relaxation_names, shares, times
@@ -313,8 +314,7 @@ def _check(material: Material, loading: str, time: Array, measure: Array) -> Non
 def _sheared(material: Material, memory: Memory) -> Loaded:
     """Stress in simple shear, P_12 = H_12 + shear H_22, where the volume is kept."""
     shear = memory.measure
-    longest = 0.5 * (np.abs(shear) + np.sqrt(shear**2 + 4))
-    bar = np.stack([longest, np.ones_like(longest), 1 / longest])
+    longest, *_ = bar = np.stack(sheared_stretches(shear))
 
     def pulled_back(principal: Array) -> Array:
         """Components 12 and 22 of the second Piola-Kirchhoff stress, shape (2, nodes)."""

@@ -31,6 +31,7 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.measured_test import IMPLAUSIBLE, SingleTest
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.phases import NO_FORCE, Phase, SpecimenRows, counted, phases_of
+from study.mechanics.measurement.recording import Recording
 
 ZERO_FIT_SHARE = 0.1
 MIN_ROWS = 3
@@ -108,15 +109,15 @@ class Rules:
         return np.linspace(self.low_mm, self.high_mm, int(self.spec.points))
 
 
-def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) -> SingleTest:
+def condition(
+    displacement_mm: Array, force_N: Array, rules: Rules, recording: Recording
+) -> SingleTest:
     """Apply the rules of this module to one test.
 
     Shapes: displacement_mm, force_N (rows,).
     """
+    where = recording.where
     counts: Counter[str] = Counter()
-    if displacement_mm.size < MIN_ROWS:
-        rule = f"has {displacement_mm.size} rows, a curve needs at least {MIN_ROWS}"
-        raise InputError(Fault(where, rule))
     every_d, every_f = _turned(displacement_mm, force_N, rules, where, counts)
     phases = phases_of(every_d)
     chosen = counted(phases, rules.spec, every_d, every_f, where, is_signed=rules.is_signed)
@@ -133,7 +134,7 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
         d, f = d[::-1], f[::-1]
     _check_torn(d, f, rules, where)
     _check_saturated(d, f, rules, where)
-    zero, offset = _zero(*_unloaded(*before, rules), rules.spec.zero), _offset(*before, rules)
+    zero, offset = _zero(*before, rules), _offset(*before, rules)
     if rules.spec.branch == "auto" and d.size < every_d.size:
         counts[UNLOADED] += every_d.size - d.size
     early = int(np.count_nonzero(d < -_slack(rules))) if rules.low_mm >= 0 else 0
@@ -141,7 +142,8 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
         counts["rows before displacement zero set aside"] += early
     d, f = _sorted_unique(d, f - zero, counts)
     d, f, toe = _toe(d, f, rules, where, counts)
-    specimen = _fates(every_d - toe, every_f - zero, phases, chosen, rules)
+    fate, reasons = _fates(every_d - toe, phases, chosen, rules)
+    specimen = SpecimenRows(every_d - toe, every_f - zero, phases, fate, reasons, recording)
     within = (d >= rules.low_mm - _slack(rules)) & (d <= rules.high_mm + _slack(rules))
     inside = int(np.count_nonzero((d >= rules.low_mm) & (d <= rules.high_mm)))
     recorded = Curve(d[within], f[within])
@@ -163,9 +165,9 @@ def _rows_of(phases: Sequence[Phase], d: Array, f: Array) -> tuple[Array, Array]
 
 
 def _fates(
-    d: Array, f: Array, phases: tuple[Phase, ...], chosen: Sequence[Phase], rules: Rules
-) -> SpecimenRows:
-    """Say of every row whether it counts. Shapes: d, f (rows,), from contact and its force."""
+    d: Array, phases: Sequence[Phase], chosen: Sequence[Phase], rules: Rules
+) -> tuple[Ints, tuple[str, ...]]:
+    """Say of every row whether it counts, and the reasons why not. Shapes: d (rows,)."""
     fate = np.zeros(d.size, dtype=int)
     reasons = ["", "before displacement zero" if rules.spec.toe is None else "before contact (toe)"]
     fate[d < -_slack(rules)] = 1 if rules.low_mm >= 0 else 0
@@ -176,19 +178,16 @@ def _fates(
         if phase not in chosen:
             reasons.append(phase.words)
             fate[phase.rows] = len(reasons) - 1
-    return SpecimenRows(d, f, phases, fate, tuple(reasons))
+    return fate, tuple(reasons)
 
 
 def condition_course(
-    displacement_mm: Array, force_N: Array, time_s: Array, rules: Rules, where: str
+    displacement_mm: Array, force_N: Array, rules: Rules, recording: Recording
 ) -> SingleTest:
     """Apply the rules that a course in time leaves: sign, and the load cell's first reading.
 
-    Shapes: displacement_mm, force_N, time_s (rows,).
+    Shapes: displacement_mm, force_N (rows,).
     """
-    if displacement_mm.size < MIN_ROWS:
-        rule = f"has {displacement_mm.size} rows, a course needs at least {MIN_ROWS}"
-        raise InputError(Fault(where, rule))
     # a shortened specimen is recorded with both signs turned, or with that of the force alone
     backwards = rules.turn < 0 and displacement_mm.min() < -displacement_mm.max()
     d = -displacement_mm if backwards else displacement_mm
@@ -197,10 +196,11 @@ def condition_course(
     f = f - zero
     if float(d @ f) <= 0:
         rule = f"the force does not resist with the declared sign ({rules.spec.sign})"
-        raise InputError(Fault(where, rule, f"write {rules.other_sign}, or check the columns"))
-    course = Curve(d, f, time_s=time_s)
-    rows = SpecimenRows(d, f, phases_of(d), np.zeros(d.size, dtype=int), ("",))
-    return SingleTest(d, f, course, rows, d.size, zero_N=zero)
+        mend = f"write {rules.other_sign}, or check the columns"
+        raise InputError(Fault(recording.where, rule, mend))
+    course = Curve(d, f, time_s=recording.time_s)
+    rows = SpecimenRows(d, f, phases_of(d), np.zeros(d.size, dtype=int), ("",), recording)
+    return SingleTest(d, f, course, rows, d.size // recording.directions, zero_N=zero)
 
 
 def _slack(rules: Rules) -> float:
@@ -555,13 +555,8 @@ def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> Non
     Shapes: d, f (rows,), mm, N; both positive into the specimen.
     """
     travel, largest = float(np.ptp(d)), float(f.max())
-    x, y = _first_tenth(d, f)
-    first = float(x[0])
-    slope, scatter = slope_with_error(x, y)
-    arm = first - float(x.mean())
-    # of a straight line through these rows, at the first of them, with two standard errors
-    most = float(y.mean()) + slope * arm + 2.0 * scatter * math.hypot(float(np.std(x)), arm)
-    is_late = first > _STARTS_LATE * travel and most < _AT_ZERO * slope * first
+    first, begins, error, slope = _start(d, f)
+    is_late = first > _STARTS_LATE * travel and begins + 2.0 * error < _AT_ZERO * slope * first
     at_zero = float(np.interp(0.0, d[order := np.argsort(d, kind="stable")], f[order]))
     is_early = first < -_STARTS_EARLY * travel and _RISEN * largest < min(
         _rises(d[d <= 0], f[d <= 0]), at_zero
@@ -660,31 +655,28 @@ def _covariance(d: Array, f: Array) -> float:
     return float(np.mean((d - d.mean()) * (f - f.mean())))
 
 
-def _zero(d: Array, f: Array, rule: str) -> float:
+def _zero(d: Array, f: Array, rules: Rules) -> float:
     """Read the load cell without load, in N (d, f in the order of the recording)."""
-    if rule == "first":
-        return float(f[0])
-    if rule == "fit":
-        x, y = _first_tenth(d, f)
-        return float(y.mean() + slope_with_error(x, y)[0] * (x[0] - x.mean()))
-    return 0.0
+    if rules.spec.zero != "fit":
+        return float(f[0]) if rules.spec.zero == "first" else 0.0
+    # where contact was declared, the approach shows it
+    approach = f[d < min(_CERTAIN * float(d.min()), 0.0)]
+    is_approach = rules.counts_from == "contact" and approach.size >= MIN_ROWS
+    return float(approach.mean()) if is_approach else _start(d, f)[1]
 
 
-def _unloaded(d: Array, f: Array, rules: Rules) -> tuple[Array, Array]:
-    """Rows of the approach alone, level, where contact was declared and they show the zero."""
-    approach = d < _CERTAIN * float(d.min())
-    if rules.spec.zero != "fit" or rules.counts_from != "contact":
-        return d, f
-    if d.min() >= 0 or np.count_nonzero(approach) < MIN_ROWS:
-        return d, f
-    return d[approach], np.full(np.count_nonzero(approach), float(f[approach].mean()))
+def _start(d: Array, f: Array) -> tuple[float, float, float, float]:
+    """First displacement of the line through the first rows, its force, error and slope there.
 
-
-def _first_tenth(d: Array, f: Array) -> tuple[Array, Array]:
-    """Rows in the first tenth of the travel, at least three, by displacement."""
+    These are the rows in the first tenth of the travel, at least three.
+    """
     count = int(np.count_nonzero(d <= d.min() + ZERO_FIT_SHARE * np.ptp(d)))
     order = np.argsort(d, kind="stable")[: max(count, MIN_ROWS)]
-    return d[order], f[order]
+    x, y = d[order], f[order]
+    slope, scatter = slope_with_error(x, y)
+    arm = float(x[0] - x.mean())
+    error = scatter * math.hypot(float(x.std()), arm)
+    return float(x[0]), float(y.mean()) + slope * arm, error, slope
 
 
 def _offset(d: Array, f: Array, rules: Rules) -> float | None:
@@ -699,12 +691,9 @@ def _offset(d: Array, f: Array, rules: Rules) -> float | None:
     if abs(float(d[first])) > OFFSET_SHARE * float(np.abs(d).max()):
         return None
     largest = float(np.abs(f).max())
-    shares = sorted((float(f[first]) / largest, _zero(d, f, "fit") / largest), key=abs)
-    same = shares[0] * shares[1] > 0
-    x, y = _first_tenth(d, f)
-    steep = slope_with_error(x, y)[1]
-    error = steep * float(np.hypot(x[0] - x.mean(), x.std())) / largest
-    is_clear = abs(_zero(d, f, "fit")) / largest > _BEYOND_ERROR * error
+    _, begins, error, _ = _start(d, f)
+    shares = sorted((float(f[first]) / largest, begins / largest), key=abs)
+    same, is_clear = shares[0] * shares[1] > 0, abs(begins) > _BEYOND_ERROR * error
     return shares[0] if same and is_clear and abs(shares[0]) > OFFSET_SHARE else None
 
 

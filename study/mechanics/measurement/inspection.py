@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -23,11 +22,18 @@ from study.ground.bounded_file import (
     unzipped,
 )
 from study.ground.canonical import plain
+from study.ground.declaration import keys_of
+from study.ground.diagnostics import toml_value
 from study.ground.errors import Fault, InputError
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
 from study.ground.units import INTERNAL, unit_factor
 from study.mechanics.measurement.conditioning import OFFSET_SHARE, slack_end, slope_with_error
-from study.mechanics.measurement.measurement_section import DELIMITERS, KINEMATIC, KINETIC
+from study.mechanics.measurement.measurement_section import (
+    DELIMITERS,
+    KINEMATIC,
+    KINETIC,
+    MeasurementSpec,
+)
 from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
 from study.mechanics.measurement.written_units import (
     DIMENSIONS,
@@ -132,7 +138,7 @@ class Inspection:
             units = values.pop("units")
             named = units if isinstance(units, Mapping) else {}
             values |= {f"units.{quantity}": unit for quantity, unit in named.items()}
-        lines = [f"{key} = {_toml(value)}" for key, value in values.items()]
+        lines = [f"{key} = {toml_value(value)}" for key, value in values.items()]
         return "\n".join(["[measurements]", *open_units, *lines])
 
     @property
@@ -147,12 +153,6 @@ class Inspection:
         """Document of ``study inspect --json``."""
         cycles = max((phase["cycle"] for phase in self.phases), default=0)
         return dict(plain({**vars(self), "cycles": cycles, "toml": self.toml}))
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
-    return json.dumps(value, ensure_ascii=False)
 
 
 def inspect(path: Path, sheet: str = "") -> Inspection:
@@ -175,9 +175,8 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         rule = f"has {len(lines)} lines, at most {MAX_ROWS} rows are read"
         raise InputError(Fault(source, rule, "thin the recording out or split it"))
     block = _block_of(lines, source)
-    columns, numbers_of, words = _columns(block)
     notes: list[str] = []
-    columns = _with_units_above(columns, words, lines[: block.skip], notes)
+    columns, numbers_of, words = _columns(block, units_above(lines[: block.skip]), notes)
     table: dict[str, object] = {"file": source}
     if sheet and len(sheets) > 1:
         table["sheet"] = sheet
@@ -348,24 +347,18 @@ def _with_names(
     header = next((k for k in named if k != units), None)
     if header is None or (units is None and header != above[0]):
         header = units = None
-    names = [] if header is None else split[header]
-    unit_cells = [] if units is None else split[units]
-    names = names + [""] * (width - len(names)) if names else [str(k + 1) for k in range(width)]
-    held = set(rows)
-    heads = {lines[k].strip() for k in (header, units) if k is not None}
-    others = [
-        k
-        for k in range(rows[0], len(lines))
-        if lines[k].strip() and k not in held and lines[k].strip() not in heads
-    ]
-    marks = [
-        m for m in _COMMENTS if others and all(lines[k].lstrip().startswith(m) for k in others)
-    ]
-    first = rows[0] if header is None else header
+    names = [str(k + 1) for k in range(width)]
+    if header is not None:
+        names = split[header] + [""] * (width - len(split[header]))
+    heads = {"", *(lines[k].strip() for k in (header, units) if k is not None)}
+    among = sorted(set(range(rows[0], len(lines))) - set(rows))
+    others = [k for k in among if lines[k].strip() not in heads]
+    marks = (m for m in _COMMENTS if all(lines[k].lstrip().startswith(m) for k in others))
     return _Block(
         delimiter, decimal, cells, [k + 1 for k in rows],
         None if header is None else header + 1, None if units is None else units + 1,
-        names, unit_cells, first, marks[0] if marks else "", [k + 1 for k in others],
+        names, [] if units is None else split[units], rows[0] if header is None else header,
+        next(marks, "") if others else "", [k + 1 for k in others],
     )  # fmt: skip
 
 
@@ -381,8 +374,13 @@ def _are_units(cells: Sequence[str], line: str) -> bool:
 # What the columns hold.
 
 
-def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[str]]:
-    """Columns, their numbers (empty for labels), and the words that stand for their units."""
+def _columns(
+    block: _Block, above: Mapping[str, str], notes: list[str]
+) -> tuple[list[InspectedColumn], list[Array], list[str]]:
+    """Columns, their numbers (empty for labels), and the words that stand for their units.
+
+    A column that names no unit has the one that a line above the names says of its dimension.
+    """
     columns: list[InspectedColumn] = []
     numbers: list[Array] = []
     words: list[str] = []
@@ -398,26 +396,15 @@ def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[st
         unit = written_unit(word) if word else None
         words.append("" if unit or not (in_row or is_marked) else word)
         plain = name if unit is None or (in_row and not is_named) else rest
-        quantity = _quantity(plain, unit[1] if unit else "") if is_number else ""
+        shown, dimension = unit or ("", "")
+        quantity = _quantity(plain, dimension) if is_number else ""
+        if not (shown or words[-1]) and (shown := above.get(DIMENSIONS.get(quantity, ""), "")):
+            notes.append(f"{name!r} is in {shown}: a line above the names says so")
         low, high = (float(values.min()), float(values.max())) if is_number else (None, None)
         labels = () if is_number else tuple(dict.fromkeys(cells))[:6]
-        columns.append(InspectedColumn(name, unit[0] if unit else "", quantity, low, high, labels))
+        columns.append(InspectedColumn(name, shown, quantity, low, high, labels))
         numbers.append(values if is_number else np.empty(0))
     return columns, numbers, words
-
-
-def _with_units_above(
-    columns: Sequence[InspectedColumn], words: Sequence[str], lines: Sequence[str], notes: list[str]
-) -> list[InspectedColumn]:
-    """Give columns that name no unit the one that a line above the names says."""
-    above, out = units_above(lines), []
-    for column, word in zip(columns, words, strict=True):
-        unit = above.get(DIMENSIONS.get(column.quantity, ""), "")
-        if unit and not (column.unit or word):
-            notes.append(f"{column.name!r} is in {unit}: a line above the names says so")
-            column = replace(column, unit=unit)
-        out.append(column)
-    return out
 
 
 def _thousands(decimal: str) -> str:
@@ -514,21 +501,14 @@ def _numbered(
     table |= {"header": False, "skip_lines": block.at[0] - 1}
     table.pop("unit_row", None)
     taken = " and ".join(str(k + 1) for k in chosen.values())
-    others = [
-        str(k + 1)
-        for k, column in enumerate(columns)
-        if column.quantity in chosen and k not in chosen.values()
-    ]
+    same = (k for k, column in enumerate(columns) if column.quantity in chosen)
+    others = ", ".join(str(k + 1) for k in same if k not in chosen.values()) or "no others"
+    why, more = "gives a name twice", f"; {others} hold the same of other tests"
     if len(block.names) > max(map(len, block.rows)):
-        notes.append(
-            f"the header names {len(block.names)} columns where rows have "
-            f"{len(block.names) - 1}, so that columns are named by their number: {taken} are taken"
-        )
-    else:
-        notes.append(
-            f"the header gives a name twice, so that columns are named by their number: {taken} "
-            f"are taken; {', '.join(others) or 'no others'} hold the same of other tests"
-        )
+        why, more = f"names {len(block.names)} columns where rows have {len(block.names) - 1}", ""
+    notes.append(
+        f"the header {why}, so that columns are named by their number: {taken} are taken{more}"
+    )
     return [replace(column, name=str(k + 1)) for k, column in enumerate(columns)]
 
 
@@ -585,15 +565,16 @@ def _groups(
 def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
     """Keys that say how the text is written, where it is no plain CSV."""
     is_odd = block.delimiter == "space" or _DELIMITERS[block.delimiter] == block.decimal
-    keys: tuple[tuple[str, object, bool], ...] = (
-        ("skip_lines", block.skip, block.skip > 0),
-        ("header", False, block.header is None),
-        ("unit_row", True, (block.units or 0) > (block.header or 0)),
-        ("decimal", ",", block.decimal == ","),
-        ("delimiter", block.delimiter, is_odd),
-        ("comment", block.comment, bool(block.comment)),
-    )
-    layout = {key: value for key, value, is_said in keys if is_said}
+    keys: dict[str, object] = {
+        "skip_lines": block.skip,
+        "header": block.header is not None,
+        "unit_row": (block.units or 0) > (block.header or 0) or None,
+        "decimal": block.decimal,
+        "delimiter": block.delimiter if is_odd else "",
+        "comment": block.comment,
+    }
+    usual = {key.name: key.default for key in keys_of(MeasurementSpec)}
+    layout = {key: value for key, value in keys.items() if value != usual[key]}
     if block.others and not block.comment:
         shown = ", ".join(map(str, block.others[:6]))
         notes.append(f"lines among or below the rows that are no rows: {shown}: delete them")
@@ -660,10 +641,9 @@ def _place(
         if falls:
             table["direction"] = "falling"
     phases = phases_of(way * rows)
-    kinds = [p.kind for p in phases]
     if len(phases) > 1:
         table["branch"] = "loading"
-        cycles = kinds.count("loading")
+        cycles = sum(phase.kind == "loading" for phase in phases)
         notes.append(
             f"{len(phases)} phases in {cycles} {'cycle' if cycles == 1 else 'cycles'}: the first "
             "loading is taken; branch may be unloading, all, or the number of a cycle"

@@ -17,7 +17,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
 from study.mechanics.material.homogeneous import LOADINGS
-from study.mechanics.measurement.measurement_section import Labels
+from study.mechanics.measurement.measurement_section import Labels, MeasurementSpec
 from study.mechanics.measurement.phases import RowCount, SpecimenRows
 from study.mechanics.setup.geometry import Cone, Enclosed, Flat, Indenter, Sphere
 from study.mechanics.setup.setup import Setup
@@ -50,8 +50,11 @@ class SingleTest:
     zero_N: float = 0.0
     toe_mm: float = 0.0
     offset: float | None = None
-    #: Labels of the grouping columns.
-    groups: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def groups(self) -> Mapping[str, str]:
+        """Labels of the grouping columns."""
+        return self.specimen.recording.groups
 
 
 @dataclass(frozen=True)
@@ -75,8 +78,7 @@ class MeasuredTest:
     @property
     def directions(self) -> int:
         """2 where rows of a second direction follow those of the first."""
-        recording = self.tests[0].specimen.recording
-        return 1 if recording is None else recording.directions
+        return self.tests[0].specimen.recording.directions
 
 
 @dataclass(frozen=True)
@@ -87,13 +89,8 @@ class Measurements:
     tests: tuple[SingleTest, ...]
     #: shape (points,); the common grid.
     displacement_mm: Array
-    block: str | None = None
-    average: tuple[str, ...] = ()
-    #: Selections that give constants and responses.
-    fit: Selection | None = None
-    score: Selection | None = None
-    #: Whether fit and score also change places.
-    swap: bool = False
+    #: What was read: columns of blocks and repeats, and what gives constants and responses.
+    spec: MeasurementSpec
     #: Counted report of every rule that touched the data.
     notes: tuple[str, ...] = ()
     #: Name of each file and its sha256.
@@ -109,9 +106,8 @@ class Measurements:
     @property
     def blocks(self) -> tuple[str, ...]:
         """Labels of the blocks, in the order of the files; empty without a block column."""
-        if self.block is None:
-            return ()
-        return tuple(dict.fromkeys(test.groups[self.block] for test in self.tests))
+        block = self.spec.block
+        return () if block is None else self.groups[block]
 
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
@@ -126,7 +122,7 @@ class Measurements:
         chosen = self._matching(block, where)
         first = chosen[0].groups
         differing = [n for n, v in first.items() if any(t.groups[n] != v for t in chosen)]
-        loose = [n for n in differing if n not in self.average]
+        loose = [n for n in differing if n not in self.spec.average]
         if loose:
             values = ", ".join(dict.fromkeys(t.groups[loose[0]] for t in chosen))
             rule = f"several tests match {_words(block, where)}: {loose[0]} = {values}"
@@ -178,19 +174,19 @@ class Measurements:
         """
         if block not in self._paired:
             fit, score = (self.curve(block, **dict(side or {})) for side in self.sides[0])
-            self._paired[block] = [(fit, score), (score, fit)] if self.swap else [(fit, score)]
+            self._paired[block] = [(fit, score), (score, fit)] if self.spec.swap else [(fit, score)]
         return self._paired[block]
 
     @property
     def sides(self) -> list[tuple[Selection | None, Selection | None]]:
         """What is fitted and what is scored, in the order of :meth:`pairs`."""
-        sides = [(self.fit, self.score or self.fit)]
-        return [*sides, (sides[0][1], sides[0][0])] if self.swap else sides
+        fit, score = self.spec.fit, self.spec.score or self.spec.fit
+        return [(fit, score), (score, fit)] if self.spec.swap else [(fit, score)]
 
     def _matching(self, block: str | None, where: Selection) -> list[SingleTest]:
         chosen_labels = {name: _labels(value) for name, value in where.items()}
-        if self.block is not None and block is not None:
-            chosen_labels[self.block] = (block,)
+        if self.spec.block is not None and block is not None:
+            chosen_labels[self.spec.block] = (block,)
         for name in chosen_labels:
             if name not in self.tests[0].groups:
                 rule = f"there is no grouping column {name!r}"
@@ -271,6 +267,7 @@ def _half_space(indenter: Indenter, depth_mm: float) -> float:
 def checked(measurements: Measurements, setup: Setup) -> Measurements:
     """Copy measurements with a note on every test whose modulus no soft material has."""
     low, high = SOFT_MPA
+    block = measurements.spec.block
     odd: list[tuple[float, float, float]] = []
     named: dict[str, None] = {}
     for test in measurements.tests:
@@ -280,7 +277,7 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
         modulus = apparent_modulus(setup, d, force) if d > 0 and force > 0 else None
         if modulus is not None and not low <= modulus <= high:
             odd.append((d, force, modulus))
-            named |= dict.fromkeys([test.groups[measurements.block]] if measurements.block else [])
+            named |= dict.fromkeys([test.groups[block]] if block else [])
     if not odd:
         return measurements
     d, force, modulus = odd[0]
@@ -290,7 +287,7 @@ def checked(measurements: Measurements, setup: Setup) -> Measurements:
     hint = f"; a force {size} would be one of a soft material" if likely else ""
     # where all are, the unit of the file is wrong, not that of a specimen
     several = len(measurements.tests) > len(odd)
-    which = f", of {measurements.block} {', '.join(named)}" if several and named else ""
+    which = f", of {block} {', '.join(named)}" if several and named else ""
     sentence = (
         f"{', '.join(sorted(measurements.files)[:2])}: {force:.4g} N at {d:.4g} mm means a "
         f"Young's modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ("

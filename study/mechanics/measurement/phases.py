@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.recording import Recording
@@ -209,16 +209,16 @@ class SpecimenRows:
     force_N: Array
     phases: tuple[Phase, ...]
     #: shape (rows,); why a row does not count, as a place in ``reasons``; 0 where it does.
-    fate: Array
+    fate: Ints
     #: The first is empty.
     reasons: tuple[str, ...]
-    #: The rows as the file has them; None where they were made.
-    recording: Recording | None = None
+    #: The rows as the file has them.
+    recording: Recording
 
     @property
     def count(self) -> RowCount:
         """Rows by what became of them."""
-        directions = 1 if self.recording is None else self.recording.directions
+        directions = self.recording.directions
         numbers = np.bincount(self.fate, minlength=len(self.reasons)) // directions
         used, *others = numbers.tolist()
         aside = {r: n for r, n in zip(self.reasons[1:], others, strict=True) if n}

@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.conditioning import (
+    MIN_ROWS,
     OFFSET,
     PERCENT,
     SIZE_ABOVE,
@@ -76,15 +78,12 @@ def read_measurements(
     if spec.range is None and not rules.is_raw:
         rules = _begun(rules, recorded, gauge)
     tests: list[SingleTest] = []
-    faults: list[Fault] = []
+    faults = Faults()
     for recording in recorded.tests:
-        try:
+        with faults.gathered():
             test, did = specimens(recording, rules, gauge)
-        except InputError as error:
-            faults.extend(error.faults)
-            continue
-        test_notes += did
-        tests.append(test)
+            test_notes += did
+            tests.append(test)
     mend = "give each its own name in braces in `files`, or name what differs"
     faults.extend(
         Fault("measurements", f"{n} files hold the same test: {dict(key)}", mend)
@@ -101,19 +100,15 @@ def read_measurements(
     # of rows of their own, no grid is common
     displacement, time = _common_grid(tests[:1] if own_rows else tests, rules)
     measurements = Measurements(
-        tuple(tests), displacement, spec.block, tuple(spec.average or ()), spec.fit, spec.score,
-        bool(spec.swap), tuple(notes), dict(recorded.files), time, own_rows,
-    )  # fmt: skip
+        tuple(tests), displacement, spec, tuple(notes), recorded.files, time, own_rows
+    )
     # a block without its fit or score tests is refused now, not in the middle of a run
-    missing: list[Fault] = []
     sides = [where for where in (spec.fit, spec.score) if where is not None]
     for block, where in product(measurements.blocks or (None,), sides):
-        try:
+        with faults.gathered():
             measurements.curve(block, **where)
-        except InputError as error:
-            missing.extend(error.faults)
-    if missing:
-        raise InputError(capped(list(dict.fromkeys(missing))))
+    if faults:
+        raise InputError(capped(faults))
     return measurements
 
 
@@ -163,10 +158,12 @@ def specimens(
         recording = _folded(recording)
     moved, notes = _in_place(recording, rules)
     d, f = displacement_and_force(moved, gauge)
-    if recording.time_s is not None:
-        conditioned = condition_course(d, f, recording.time_s, rules, recording.where)
-    else:
-        conditioned = condition(d, f, rules, recording.where)
+    is_course = recording.time_s is not None
+    kind, conditioned = ("course", condition_course) if is_course else ("curve", condition)
+    if d.size < MIN_ROWS:
+        rule = f"has {d.size} rows, a {kind} needs at least {MIN_ROWS}"
+        raise InputError(Fault(recording.where, rule))
+    test = conditioned(d, f, rules, recording)
     longest = 1.0
     if gauge is not None and gauge.mode != "simple-shear":
         longest = 1 + float((gauge.sense * d).max()) / gauge.length_mm
@@ -175,19 +172,16 @@ def specimens(
             f"{recording.where}: a stretch of {longest:.4g} is unusual: {kinematic}, "
             f'{PERCENT} Then write units = {{ {kinematic} = "%" }}'
         )
-    rows = conditioned.rows // recording.directions
-    specimen = replace(conditioned.specimen, recording=recording)
-    conditioned = replace(conditioned, rows=rows, specimen=specimen, groups=recording.groups)
+    specimen = test.specimen
     chosen = [p for p in specimen.phases if specimen.fate[p.rows].min() == 0]
-    if recording.time_s is None and (branch != "auto" or len(specimen.phases) > 1):
+    if not is_course and (branch != "auto" or len(specimen.phases) > 1):
         lines = recording.lines
         words = " and ".join(
-            p.words + (f" (lines {lines[p.first]} to {lines[p.last]})" if lines else "")
-            for p in chosen[:3]
+            f"{p.words} (lines {lines[p.first]} to {lines[p.last]})" for p in chosen[:3]
         )
         how = "" if branch == "auto" else f", branch = {branch}"
         notes.append(f"{recording.where}: {words}{how}")
-    return conditioned, notes
+    return test, notes
 
 
 def _folded(recording: Recording) -> Recording:
@@ -195,7 +189,7 @@ def _folded(recording: Recording) -> Recording:
     if (recording.kinematic >= 0).all():
         return recording
     order = np.argsort(np.abs(recording.kinematic), kind="stable")
-    lines = tuple(recording.lines[k] for k in order) if recording.lines else ()
+    lines = tuple(recording.lines[k] for k in order)
     far, hard = recording.kinematic[order], recording.kinetic[order]
     return replace(recording, kinematic=far, kinetic=hard, lines=lines)
 

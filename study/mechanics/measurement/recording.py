@@ -5,9 +5,9 @@ Columns hold displacement and force, or measures of strain and stress.
 
 from __future__ import annotations
 
-import os
+import glob
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
@@ -16,6 +16,7 @@ import numpy as np
 from study.ground.arrays import Array, gathered
 from study.ground.bounded_file import read_bytes, table_text
 from study.ground.declaration import Bad, relative_path
+from study.ground.diagnostics import Faults
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, parse_csv
 from study.ground.units import parse
@@ -223,33 +224,17 @@ def locate_pattern(
     """Files below the data root that match a pattern such as ``"compression-{specimen}.csv"``."""
     where = "measurements.files"
     check_relative(pattern, where)
-    matches = sorted(_walk(root, "", list(PurePosixPath(pattern).parts), {}))
+    pieces = list(enumerate(_FIELD.split(str(PurePosixPath(pattern)))))
+    files = root.glob("".join("*" if k % 2 else glob.escape(piece) for k, piece in pieces))
+    # each label takes as little as it can
+    parts = "".join(f"(?P<{p}>[^/]+?)" if k % 2 else re.escape(p) for k, p in pieces)
+    names = sorted(file.relative_to(root).as_posix() for file in files if not file.is_dir())
+    matches = [(name, match) for name in names if (match := re.fullmatch(parts, name))]
     if not matches:
         raise MissingDataError(_missing(f"no file matches {pattern!r}", root, citation, where))
     if len(matches) > MAX_FILES:
         raise InputError(Fault(where, f"{len(matches)} files match, at most {MAX_FILES} are read"))
-    return [(name, dict(groups)) for name, groups in matches]
-
-
-def _walk(
-    folder: Path, prefix: str, parts: list[str], groups: dict[str, str]
-) -> Iterator[tuple[str, tuple[tuple[str, str], ...]]]:
-    pieces = enumerate(_FIELD.split(parts[0]))  # each name takes as little as it can
-    pattern = "".join(f"(?P<{p}>.+?)" if k % 2 else re.escape(p) for k, p in pieces)
-    regex, last = re.compile(pattern, re.DOTALL), len(parts) == 1
-    try:
-        entries = sorted(os.scandir(folder), key=lambda e: e.name)
-    except OSError:
-        return
-    for entry in entries:
-        match = regex.fullmatch(entry.name)
-        if match is None or (entry.is_dir() == last):
-            continue
-        labels = {**groups, **match.groupdict()}
-        if last:
-            yield prefix + entry.name, tuple(labels.items())
-        else:
-            yield from _walk(folder / entry.name, f"{prefix}{entry.name}/", parts[1:], labels)
+    return [(name, match.groupdict()) for name, match in matches]
 
 
 def _missing(what: str, root: Path, citation: str, where: str) -> Fault:
@@ -280,7 +265,7 @@ class Recording:
     kinetic: Array
     #: shape (n,); when, increasing; None where the file does not say.
     time_s: Array | None = None
-    #: Line of the file on which each row stands; none where they were made.
+    #: Line of the file on which each row stands.
     lines: tuple[int, ...] = ()
     #: What the columns hold.
     quantities: tuple[str, str] = ("displacement", "force")
@@ -328,21 +313,14 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
     if spec.file:
         required += [n for n in _declared(spec) if n not in required]
     tables: list[tuple[CsvTable, dict[str, str]]] = []
-    faults: list[Fault] = []
-    rows = 0
+    faults, rows = Faults(), 0
     for name, labels in located:
-        try:
-            path = locate(name, root, citation=citation)
-            table = read_table(path, spec, required, name)
-        except MissingDataError:
-            raise
-        except InputError as error:
-            faults.extend(error.faults)
-            continue
-        rows += len(table.lines)
+        with faults.gathered():
+            table = read_table(locate(name, root, citation=citation), spec, required, name)
+            tables.append((table, labels))
+            rows += len(table.lines)
         if rows > MAX_ROWS:
             raise InputError(Fault("measurements.files", f"hold more than {MAX_ROWS} rows in all"))
-        tables.append((table, labels))
     if faults:
         raise InputError(capped(faults))
     return tables
@@ -364,51 +342,47 @@ def _split(
     table: CsvTable, labels: Mapping[str, str], groups: Sequence[str], spec: MeasurementSpec
 ) -> Iterable[Recording]:
     """Rows of each test of a table."""
-    limits = {spec.columns.kinematic: MAX_TRAVEL_MM, spec.columns.kinetic: MAX_FORCE_N}
+    held = (spec.columns.kinematic, spec.columns.kinetic)
+    limits = dict(zip(held, (MAX_TRAVEL_MM, MAX_FORCE_N), strict=True))
     if spec.columns.time is not None:
         limits["time"] = MAX_TIME_S
     if spec.columns.is_biaxial:
         limits |= {second: limits[first] for first, second in SECOND.items()}
     read: dict[str, Array] = {}
-    faults: list[Fault] = []
+    faults = Faults()
     for what, limit in limits.items():
-        try:
+        with faults.gathered():
             read[what] = _quantity(table, spec, what, limit)
-        except InputError as error:
-            faults.extend(error.faults)
-    if faults:
-        raise InputError(faults)
-    d, f = read[spec.columns.kinematic], read[spec.columns.kinetic]
+    faults.refuse()
     time = read.get("time")
     inside = [name for name in groups if name not in labels]
-    keys = list(zip(*(table.text(name) for name in inside), strict=True)) or [()] * d.size
+    keys = list(zip(*(table.text(name) for name in inside), strict=True))
+    keys = keys or [()] * len(table.lines)
     _check_labels(table, labels, inside, keys)
-    held = (spec.columns.kinematic, spec.columns.kinetic)
     for key, members in gathered((key, k) for k, key in enumerate(keys)).items():
         labels_of_test = {**dict(zip(inside, key, strict=True)), **labels}
         ordered = {name: labels_of_test[name] for name in groups}
         words = ", ".join(f"{n} = {v}" for n, v in ordered.items())
         where = f"{table.source}: {words}" if words else table.source
         lines = tuple(table.lines[k] for k in members)
+        far, hard = (read[quantity][members] for quantity in held)
+        when = None if time is None else time[members]
         if spec.columns.is_biaxial:
-            far, hard = (
-                np.concatenate([read[quantity][members], read[SECOND[quantity]][members]])
-                for quantity in held
-            )
+            second = (read[SECOND[quantity]][members] for quantity in held)
+            far, hard = map(np.concatenate, zip((far, hard), second, strict=True))
             row = np.arange(far.size, dtype=float)
             yield Recording(where, ordered, far, hard, row, lines * 2, held, 2)
             continue
-        if time is None:
-            _check_one_test(table, members, d, where, groups, spec.columns)
+        if when is None:
+            _check_one_test(table, members, far, where, groups, spec.columns)
         else:
-            _check_time(table, members, time, where)
-        when = None if time is None else time[members]
-        yield Recording(where, ordered, d[members], f[members], when, lines, held)
+            _check_time(table, members, when, where)
+        yield Recording(where, ordered, far, hard, when, lines, held)
 
 
 def _check_time(table: CsvTable, members: Sequence[int], time: Array, where: str) -> None:
     """Refuse times that do not increase: several tests in one, or rows out of order."""
-    back = np.flatnonzero(np.diff(time[list(members)]) <= 0)
+    back = np.flatnonzero(np.diff(time) <= 0)
     if back.size:
         line = table.lines[members[int(back[0]) + 1]]
         rule = f"time does not increase from row to row ({where})"
@@ -444,13 +418,12 @@ def _check_labels(
 def _check_one_test(
     table: CsvTable,
     members: Sequence[int],
-    d: Array,
+    travel: Array,
     where: str,
     groups: Sequence[str],
     columns: Columns,
 ) -> None:
     """Refuse rows in which the travel starts again: they are several tests, not one."""
-    travel = d[list(members)]
     jumps = np.flatnonzero(np.abs(np.diff(travel)) > 0.5 * np.ptp(travel))
     back = [int(j) for j in jumps if abs(travel[j + 1]) < abs(travel[j])]
     # a single row, or rows that also jump ahead, are out of order

@@ -99,7 +99,7 @@ class Setting:
     tests: Sequence[CalibratedTest]
     names: tuple[str, ...]
     start: Array
-    bounds: Sequence[tuple[float, float]] | None
+    bounds: Sequence[tuple[float, float]]
     progress: Progress | None
     #: what was done to a start outside the bounds, in words
     moved: tuple[str, ...] = ()
@@ -141,10 +141,7 @@ def setting_of(
         f"the start of {n} lay outside its bounds and was moved to {inside[names.index(n)]:.6g}"
         for n in outside
     )
-    finite = np.isfinite(bounds).any()
-    return Setting(
-        config, tests, names, inside, bounds if finite else None, progress, moved, checkpoint.limits
-    )
+    return Setting(config, tests, names, inside, bounds, progress, moved, checkpoint.limits)
 
 
 def from_all_starts(
@@ -337,7 +334,7 @@ def _profiles(
 
     whole = fit.joint or fit
     free = [(-np.inf, np.inf)] * (len(whole.names) - len(setting.names))
-    bounds = None if setting.bounds is None else [*setting.bounds, *free]
+    bounds = [*setting.bounds, *free]
     estimated = {n for n, e in zip(whole.names, whole.standard_error, strict=True) if e > 0}
     return {
         name: profile(predict, ordered, whole, name, bounds=bounds)

@@ -61,14 +61,14 @@ class CalibrationResult(Keyed):
     """Constants of one material from all tests of a calibration."""
 
     KEYS = (
-        "status message fit=adequacy.as_dict model parameters=fit.names nuisance=fit.nuisance "
+        "status message fit=adequacy model parameters=fit.names nuisance=fit.nuisance "
         "mu0=material shear_moduli=material rss=fit.rss minima r_squared=fit.r_squared "
         "aicc=fit.aicc n=fit.n rows=curves serial_correlation=fit.serial "
         "correlation=fit.correlation condition=fit.condition identifiable=fit.identifiable "
         "reason=fit.reason identifiability=identified next_test=next_tests.as_dict stable "
         "stability evaluations seconds curves lack_of_fit residual_pattern=pattern specimens "
         "same_constants_p population cross_validation profiles numerical numerics "
-        "bootstrap=bootstrap.as_dict starts warnings notes name tests"
+        "bootstrap starts warnings notes name tests"
     )
 
     #: Of the calibration and of the energy.
@@ -161,12 +161,10 @@ class CalibrationResult(Keyed):
             "cross_validation": [part.as_dict() for part in self.cross_validation],
             "profiles": {
                 name: {
-                    "interval": [scale * v for v in profile.interval],
-                    "values": scale * np.asarray(profile.values),
+                    **_scaled(profile, _scale(fit, name), "interval", "values"),
                     "rss": profile.rss,
                 }
                 for name, profile in self.profiles.items()
-                for scale in [_scale(fit, name)]
             },
         }
         document = {**self.keyed(), **shown}
@@ -243,10 +241,8 @@ def _nuisance(estimate: NuisanceEstimate) -> dict[str, object]:
         "expected": scale * estimate.expected,
         "uncertainty": None if estimate.uncertainty is None else scale * estimate.uncertainty,
         "prior": "none: found from the tests alone" if estimate.uncertainty is None else meaning,
-        "value": scale * estimate.value,
-        "standard_error": scale * estimate.standard_error,
-        "ci95": [scale * v for v in estimate.ci95],
-        "shares": dict(estimate.shares),
+        **_scaled(estimate, scale, "value", "standard_error", "ci95"),
+        "shares": estimate.shares,
     }
 
 
@@ -263,18 +259,19 @@ def _unit_of(key: str) -> tuple[str, float]:
 def _population(population: Population, labels: Sequence[str]) -> dict[str, object]:
     """Give one constant among specimens in kPa, exponents plain."""
     scale = scale_of(population.name)
+    shrunk = zip(labels, population.shrunk, strict=False)
     return {
         "specimens": population.specimens,
         "unit": unit_shown(population.name),
-        "mean": scale * population.mean,
-        "standard_deviation": scale * population.standard_deviation,
-        "between": scale * population.between,
-        "mean_ci95": [scale * v for v in population.mean_ci95],
+        **_scaled(population, scale, "mean", "standard_deviation", "between", "mean_ci95"),
         "next_ci95": [scale * v for v in population.next_ci95],
-        "shrunk": {
-            label: scale * value for label, value in zip(labels, population.shrunk, strict=False)
-        },
+        "shrunk": {label: scale * value for label, value in shrunk},
     }
+
+
+def _scaled(value: object, scale: float, *names: str) -> dict[str, object]:
+    """Sizes of a value, each a number or several, in the unit in which they are shown."""
+    return {name: scale * np.asarray(getattr(value, name)) for name in names}
 
 
 def _scale(fit: Fit, name: str) -> float:

@@ -82,7 +82,7 @@ def read_tests(
         ), setup)  # fmt: skip
         notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
-            mean = data.curve(specimen, **dict(data.fit or {}))
+            mean = data.curve(specimen, **dict(data.spec.fit or {}))
             weight = _weight(test.weight, mean, f"tests[{number}]")
             label = test.file if specimen is None else f"{test.file}, {specimen}"
             curve = FitCurve(

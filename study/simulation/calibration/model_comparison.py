@@ -17,6 +17,7 @@ from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.units import p_phrase
 from study.mechanics.calibration.fit import Fit, fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.identifiability import fitted_rows
 from study.mechanics.calibration.lack_of_fit import (
     USUAL_POWER,
     WALD_ALPHA,
@@ -78,15 +79,14 @@ _RATIO = 1.5
 def zero_error(config: CalibrationDesign, root: Path, fit: Fit, zero: float) -> Array:
     """Change of the constants by a shift of all forces of one test. Shapes: returns (p,), MPa."""
     curves = in_order(read_tests(config.tests, root)[0])
-    rows, shifts = [], []
-    for measured, predicted in zip(curves, fit.curves, strict=True):
-        curve, weight = measured.curve, np.asarray(measured.weight)
-        slopes = predicted.gradients_at(fit.names, curve.displacement_mm)
-        rows.append((weight * slopes.T).T)
-        shifts.append(weight * np.full(len(curve), zero * np.abs(curve.force_N).max()))
-    jacobian = np.concatenate(rows)
+    slopes, weights, _ = fitted_rows(fit, curves)
+    jacobian = weights[:, None] * slopes
+    shifts = np.repeat(
+        [zero * np.abs(m.curve.force_N).max() for m in curves],
+        [np.count_nonzero(m.weights) for m in curves],
+    )
     scale = np.linalg.norm(jacobian, axis=0)
-    shift = np.linalg.lstsq(jacobian / scale, np.concatenate(shifts), rcond=None)[0]
+    shift = np.linalg.lstsq(jacobian / scale, weights * shifts, rcond=None)[0]
     return np.asarray(shift / scale)
 
 
@@ -203,8 +203,11 @@ class ModelComparison(Keyed):
             for label, result in self.fits.items()
             if not result.fit.identifiable
         ]
-        short = "alone it ended before its minimum"
-        ended = [f"{k}: {short} ({f.message})" for k, f in self.fits.items() if not f.converged]
+        ended = [
+            f"{label}: alone it ended before its minimum ({result.message})"
+            for label, result in self.fits.items()
+            if not result.converged
+        ]
         return (*cautions, *vague, *ended)
 
     def to_json(self) -> dict[str, Json]:
@@ -276,14 +279,12 @@ def compare(
     }
     extra = [np.outer(mesh, mesh) + np.outer(zero, zero) for mesh, zero in systematic.values()]
     test = agreement(list(compared.values()), extra)
-    power: dict[str, float] = {}
-    detectable: dict[str, float] = {}
-    names = next(iter(fits.values())).fit.names
-    for i, label in enumerate(fits):
-        # all moduli of one test are larger by their own size, no exponent is
-        unit = np.zeros((len(fits), len(names)))
-        unit[i] = [0 if is_dimensionless(n) else v for n, v in zip(names, test.common, strict=True)]
-        power[label], detectable[label] = test.power(difference * unit), test.detectable(unit)
+    # all moduli of one test are larger by their own size, no exponent is
+    is_modulus = [not is_dimensionless(n) for n in next(iter(fits.values())).fit.names]
+    one_off = np.eye(len(fits))[..., None] * np.where(is_modulus, test.common, 0.0)
+    units = dict(zip(fits, one_off, strict=True))
+    power = {label: test.power(difference * unit) for label, unit in units.items()}
+    detectable = {label: test.detectable(unit) for label, unit in units.items()}
     return ModelComparison(
         config.name, config.material.model, fits, test, systematic, difference, power,
         detectable, form,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,17 +102,16 @@ _FAR = 0.05
 _SMALL = 1e-4
 
 
-@dataclass(frozen=True)
-class _Homogeneous:
-    """Closed form at any displacements."""
+#: forces at displacements, mm, for constants; negative displacements pull what others press
+_Model = Callable[[Array, Array], Curve]
 
-    problem: CellProblem
-    names: Sequence[str]
 
-    def at(self, values: Array, grid: Array) -> Curve:
-        """Predict forces at displacements, mm; negative ones pull what others press."""
+def _closed_form(problem: CellProblem, names: Sequence[str]) -> _Model:
+    def at(values: Array, grid: Array) -> Curve:
         empty = [Curve(grid, np.zeros_like(grid))]
-        return fit_task.closed_form_model(self.problem, empty, self.names)(values)[0]
+        return fit_task.closed_form_model(problem, empty, names)(values)[0]
+
+    return at
 
 
 class _Simulated(fit_task.InverseFem):
@@ -160,7 +159,7 @@ class NuisancePredictions:
         self.parameters = parameters_of(tests, curves)
         self.parts, self._names = parts_of(tests, curves), tuple(names)
         self._tests = [tests[number] for number in sorted({c.test for c in curves})]
-        self._made: dict[tuple[int, _Variant], _Homogeneous | _Simulated] = {}
+        self._made: dict[tuple[int, _Variant], _Model] = {}
 
     def __call__(self, values: Array, free: Sequence[NuisanceParameter]) -> list[Curve]:
         """Predict all curves, with their derivatives by the constants and what is asked."""
@@ -194,10 +193,8 @@ class NuisancePredictions:
         active = {p.key: p for p in movers if p.name in given or p.key == FRICTION}
         shares = _shares(list(active.values()), value)
         solved = {
-            (plate, key, sign): self._model(number, (plate, key, sign), active.get(key)).at(
-                constants, grid
-            )
-            for plate, key, sign in shares
+            variant: self._model(number, variant, active.get(variant[1]))(constants, grid)
+            for variant in shares
         }
         total = _weighed(shares, solved, self._names)
         gradient = {name: row[:n] for name, row in zip(self._names, total[1:], strict=True)}
@@ -213,9 +210,7 @@ class NuisancePredictions:
                 gradient[mover.name] = _weighed(change, solved, ())[0][:n]
         return Curve(points, total[0][:n] + zero, force_gradient=gradient)
 
-    def _model(
-        self, number: int, variant: _Variant, moved: NuisanceParameter | None
-    ) -> _Homogeneous | _Simulated:
+    def _model(self, number: int, variant: _Variant, moved: NuisanceParameter | None) -> _Model:
         plate, key, sign = variant
         if (number, variant) not in self._made:
             problem, depth = self._tests[number].problem, self._depth(self.parts[number])
@@ -225,9 +220,9 @@ class NuisancePredictions:
                 problem = problem.loaded(interface=plate, base=plate)
             fitted = fitted_test("auto", problem.loaded(displacement_mm=depth))
             self._made[number, variant] = (
-                _Homogeneous(fitted.problem, self._names)
+                _closed_form(fitted.problem, self._names)
                 if fitted.method == "closed-form"
-                else _Simulated(fitted.problem, self._names, depth)
+                else _Simulated(fitted.problem, self._names, depth).at
             )
         return self._made[number, variant]
 
@@ -302,7 +297,7 @@ class _NuisanceFit:
     predictions: NuisancePredictions
     measured: Sequence[MeasuredCurve]
     names: tuple[str, ...]
-    bounds: Sequence[tuple[float, float]] | None
+    bounds: Sequence[tuple[float, float]]
     simulated: bool
     #: Parameters that the tests may move, and those whose uncertainty is propagated.
     fitted: Sequence[NuisanceParameter]
@@ -317,7 +312,7 @@ class _NuisanceFit:
         """Fit all that is unknown; as least squares gives it, and from its rows."""
         free = (-np.inf, np.inf)
         depth = max(float(m.curve.displacement_mm.max()) for m in self.measured)
-        bounds = [*(self.bounds or [free] * len(self.names))]
+        bounds = [*self.bounds]
         for param in self.fitted:
             far = reach_of(param, depth)
             is_offset = param.key == OFFSET
@@ -438,7 +433,7 @@ def with_nuisance(
     first_fit: Fit,
     tests: Sequence[CalibratedTest],
     curves: Sequence[FitCurve],
-    bounds: Sequence[tuple[float, float]] | None = None,
+    bounds: Sequence[tuple[float, float]],
 ) -> Fit:
     """Fit of the constants with what is not known exactly."""
     predictions = NuisancePredictions(tests, curves, first_fit.names)

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Flags
+from study.ground.canonical import Keyed
 from study.mechanics.calibration.identifiability import KNOWN, fitted_rows
+from study.mechanics.calibration.lack_of_fit import inverse
 from study.mechanics.forward.closed_form import height_and_area, indentation
 from study.mechanics.material.energy import poisson_from_bulk
 from study.mechanics.material.homogeneous import LOADINGS
@@ -51,15 +52,15 @@ TIMES_MEASURED = 3.0
 USUAL_STRAIN = 0.4
 #: number of strains tried in the search for the strain that a test must reach
 _STRAINS = 80
-#: cross-section where no measured specimen has any, mm^2
-_AREA = 100.0
 #: singular value over the largest one below which a test does not see a combination
 _SEEN = 1e-6
 
 
 @dataclass(frozen=True)
-class NextTest:
+class NextTest(Keyed):
     """A test that could be made, and what it would do to the standard errors."""
+
+    KEYS = "kind strain standard_error information_nats combinations needed_strain"
 
     kind: str
     #: Largest strain (of simple shear the amount of shear, of a sphere depth over radius).
@@ -68,11 +69,11 @@ class NextTest:
     #: undetermined.
     standard_error: Array
     #: Expected gain about the badly known constants, nats.
-    information: float
+    information_nats: float
     #: Of the constants that this test alone determines.
     combinations: int
     #: Strain from which every constant is known to 10 %; None where no strain does it.
-    needed: float | None
+    needed_strain: float | None
 
     @property
     def words(self) -> str:
@@ -84,8 +85,10 @@ class NextTest:
 
 
 @dataclass(frozen=True)
-class Conditions:
+class Conditions(Keyed):
     """What a further test has in common with those that were made."""
+
+    KEYS = "noise_N area_mm2 rows stress_MPa effective_rows"
 
     #: Standard deviation of a row, and the cross-section.
     noise_N: float  # noqa: N815
@@ -106,26 +109,23 @@ class Conditions:
     def of(
         cls, fit: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
     ) -> Conditions:
-        """Mean of the recordings; the first specimen that has a cross-section."""
-        specimens = [s for test in tests if (s := test.problem.setup.specimen) is not None]
-        areas = [height_and_area(specimen)[1] for specimen in specimens]
+        """Mean of the recordings; the first specimen."""
         serial = fit.serial
         rows = fit.n if serial is None else serial.rows
+        pairs = [(each.curve, tests[each.test].problem.setup) for each in curves]
         # mean strains of the specimens that are not indented
         strains = [
-            float(np.abs(curve.curve.displacement_mm).max()) / setup.height_mm
-            for curve in curves
-            if (setup := tests[curve.test].problem.setup).height_mm is not None
-            and setup.test.indenter is None
+            float(np.abs(curve.displacement_mm).max()) / setup.height_mm
+            for curve, setup in pairs
+            if setup.height_mm is not None and setup.test.indenter is None
         ]
         stresses = [
-            float(np.abs(curve.curve.force_N).max()) / height_and_area(specimen)[1]
-            for curve in curves
-            if (specimen := tests[curve.test].problem.setup.specimen) is not None
+            float(np.abs(curve.force_N).max()) / height_and_area(setup.specimen)[1]
+            for curve, setup in pairs
         ]
         return cls(
             noise,
-            areas[0] if areas else _AREA,
+            height_and_area(tests[0].problem.setup.specimen)[1],
             max(1, round(rows / len(fit.curves))),
             1.0 if serial is None else serial.effective_rows / serial.rows,
             max([USUAL_STRAIN, *strains]),
@@ -170,9 +170,9 @@ class NextTests:
             f"up to a nominal stress of {at.stress_MPa:.3g} MPa). "
             + (
                 f"No strain of it makes every constant known to {100 * KNOWN:.0f} %"
-                if best.needed is None
-                else f"It must reach {100 * best.needed:.2g} % for every constant to be known to "
-                f"{100 * KNOWN:.0f} %"
+                if best.needed_strain is None
+                else f"It must reach {100 * best.needed_strain:.2g} % for every constant to be "
+                f"known to {100 * KNOWN:.0f} %"
             )
         )
 
@@ -181,20 +181,10 @@ class NextTests:
         return {
             "sentence": self.sentence,
             "sought": list(self.sought),
-            **{
-                key: getattr(self.conditions, key)
-                for key in ("noise_N", "area_mm2", "rows", "stress_MPa", "effective_rows")
-            },
+            **self.conditions.keyed(),
             "standard_error": in_shown_units(self.names, self.standard_error),
             "tests": [
-                {
-                    "kind": test.kind,
-                    "strain": test.strain,
-                    "standard_error": in_shown_units(self.names, test.standard_error),
-                    "information_nats": test.information,
-                    "combinations": test.combinations,
-                    "needed_strain": test.needed,
-                }
+                test.keyed() | {"standard_error": in_shown_units(self.names, test.standard_error)}
                 for test in self.tests
             ],
         }
@@ -247,7 +237,7 @@ class _TestSearch:
     values: Array
     material: Material
     information: Array
-    sought: NDArray[np.bool_]
+    sought: Flags
     conditions: Conditions
 
     def tests(self) -> Iterator[tuple[float, NextTest]]:
@@ -265,7 +255,8 @@ class _TestSearch:
             left = self._left(after)
             gain = 0.5 * (before - left) if np.isfinite(left) else 0.0
             error, needed = np.sqrt(np.diag(after)), self._needed(kind, largest)
-            yield left, NextTest(kind, strain, error, gain, _rank(added), needed)
+            combinations = int(np.count_nonzero(_spectrum(added)[-1]))
+            yield left, NextTest(kind, strain, error, gain, combinations, needed)
 
     def _reachable(self, kind: str, largest: float) -> float:
         """Strain that a test reaches before its stress goes beyond what can be made."""
@@ -325,28 +316,24 @@ def _slopes(material: Material, kind: str, strain: Array, at: Conditions) -> Arr
 def _information(fit: Fit, jacobian: Array, left: Array, worth: float) -> Array:
     """Inverse covariance of the constants; from the Jacobian where a constant is undetermined."""
     if np.isfinite(fit.covariance).all():
-        scale = np.sqrt(np.diag(fit.covariance))
-        return np.asarray(np.linalg.inv(fit.covariance / np.outer(scale, scale))
-                          / np.outer(scale, scale))  # fmt: skip
+        return inverse(fit.covariance)
     variance = float(left @ left) / (left.size - len(fit.names))
     return np.asarray(worth / variance * jacobian.T @ jacobian)
 
 
 def _covariance(information: Array) -> Array:
     """Inverse of an information matrix; undetermined directions have infinite variance."""
-    size = np.sqrt(np.diag(information))
-    scale = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    seen = values > _SEEN**2 * values[-1]
-    inverse = vectors[:, seen] / values[seen] @ vectors[:, seen].T
+    outer, values, vectors, seen = _spectrum(information)
+    inner = vectors[:, seen] / values[seen] @ vectors[:, seen].T
     lost = np.any(np.abs(vectors[:, ~seen]) > _SEEN, axis=1)
-    inverse[lost, lost] = np.inf
-    return np.asarray(inverse / np.outer(scale, scale))
+    inner[lost, lost] = np.inf
+    return np.asarray(inner / outer)
 
 
-def _rank(information: Array) -> int:
-    """Count the combinations of the constants that a test alone determines."""
+def _spectrum(information: Array) -> tuple[Array, Array, Array, Flags]:
+    """Scales of an information matrix, its spectrum in them, and which combinations it sees."""
     size = np.sqrt(np.diag(information))
     scale = np.where(size > 0, size, 1.0)
-    values = np.linalg.eigvalsh(information / np.outer(scale, scale))
-    return int(np.sum(values > _SEEN**2 * values[-1]))
+    outer = np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(information / outer)
+    return outer, values, vectors, values > _SEEN**2 * values[-1]

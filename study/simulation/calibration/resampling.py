@@ -44,8 +44,10 @@ _TAILS = (2.5, 97.5)
 
 
 @dataclass(frozen=True)
-class Bootstrap:
+class Bootstrap(Keyed):
     """Percentile intervals of the constants."""
+
+    KEYS = "sentence interval standard_error resamples failed seed blocks specimens"
 
     names: tuple[str, ...]
     #: shape (p, 2); 95 %, MPa (exponents plain).
@@ -73,18 +75,11 @@ class Bootstrap:
         failed = f", {self.failed} of them without a minimum" if self.failed else ""
         return f"bootstrap: {self.resamples} resamples of {drawn}, seed {self.seed}{failed}"
 
-    def as_dict(self) -> dict[str, object]:
-        """Intervals in kPa, exponents plain."""
-        return {
-            "sentence": self.sentence,
-            "interval": in_shown_units(self.names, self.interval),
-            "standard_error": in_shown_units(self.names, self.standard_error),
-            "resamples": self.resamples,
-            "failed": self.failed,
-            "seed": self.seed,
-            "blocks": list(self.blocks),
-            "specimens": self.specimens,
-        }
+    def keyed(self) -> dict[str, object]:
+        """Give what stands under every key: intervals in kPa, exponents plain."""
+        sizes = {"interval": self.interval, "standard_error": self.standard_error}
+        shown = {key: in_shown_units(self.names, values) for key, values in sizes.items()}
+        return super().keyed() | shown
 
 
 def bootstrap(
