@@ -90,7 +90,7 @@ def write_rows(folder, d, force, noise, seed):
 def pressed(model, constants, d):
     """Force of the cylinder between plates that slip, N."""
     material = Material(model, constants, poisson_ratio=0.4995)
-    return closed_form.compression(SPECIMEN, material, d).force_N
+    return closed_form.homogeneous(SPECIMEN, material, d).force_N
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -180,7 +180,7 @@ def test_coverage_is_92_to_98_percent(tmp_path):
     for _ in range(studies):
         offset, zero, radius = rng.normal(size=3) * [0.1, 0.1, 0.1]
         specimen = Cylinder(25.0 + radius, 30.0)
-        force = closed_form.compression(specimen, material, d + offset).force_N + zero
+        force = closed_form.homogeneous(specimen, material, d + offset).force_N + zero
         write_rows(tmp_path, d, force, 0.1, rng)
         found = calibrate(config, tmp_path).fit
         hits += (found.ci95[:, 0] <= truth) & (truth <= found.ci95[:, 1])
