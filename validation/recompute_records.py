@@ -194,6 +194,6 @@ def _read(config: Config, block: str | None, data: Path, number: int) -> Any:
 
     spec, height = config["measurements"], config["specimen"].get("height_mm")
     found = read_measurements(spec, data, height, config["test"].get("displacement_mm"))
-    sides = [found.score or found.fit, found.fit]
+    sides = [found.spec.score or found.spec.fit, found.spec.fit]
     where = dict(sides[number] or {})
-    return found.curve(block if found.block is not None else None, **where).curve
+    return found.curve(block if found.spec.block is not None else None, **where).curve
