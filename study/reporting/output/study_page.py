@@ -60,7 +60,8 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
     """Compute every sentence, table and figure of a report."""
     from study.reporting.figures import study_figures, surface_figures
 
-    of_study = partial(study_figures.of_study, data)
+    # what these figures do not need is not sent: an analysis of 4,096 cells has 400 MB of matrices
+    of_study = partial(study_figures.of_study, replace(data, analyses=(), surfaces=()))
     figures = of_study if worker is None else worker.begin(of_study)
     all_facts = facts(data)
     of_each = {item.name: study_figures.of_response(data, item) for item in all_facts}

@@ -123,13 +123,14 @@ def sampled_estimate(
     """
     levels, component_rows, mean_rows, complete = term_rows(fit, term)
     k = len(levels)
-    alone = sample(Differences.alone(np.vstack([component_rows, mean_rows])))
-    component, mean = alone.value[:k], fit.shift + alone.value[k:]
+    # one after the other: of 4,096 cells the rows of either take 134 MB
+    component = sample(Differences.alone(component_rows)).value
+    means = sample(Differences.alone(mean_rows))
     if np.isnan(component).any():
         component = np.full(k, np.nan)
     half = mean_half = None
-    if alone.error is not None:
-        mean_half = (alone.error * alone.single)[k:]
+    if means.error is not None:
+        mean_half = means.error * means.single
     if mean_half is not None and not np.isnan(component).any():
         first, second = np.triu_indices(k, 1)
         pairs = sample(Differences(component_rows, first, second))
@@ -138,6 +139,7 @@ def sampled_estimate(
             wide = pairs.error * (pairs.simultaneous if multiplier is None else multiplier)
             half[first, second] = half[second, first] = wide
     settings = tuple(product(*(fit.matrix.layout.levels[name] for name in term)))
+    mean = fit.shift + means.value
     return TermEstimate(term, levels, component, mean, half, mean_half, p, settings, complete)
 
 
