@@ -48,10 +48,10 @@ def pytest_configure(config):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Let every test by examples belong to the long verification too."""
+    """Let every test that is slow, or by examples, belong to the long verification too."""
     if is_verification(config):
         for item in items:
-            if item.get_closest_marker("hypothesis"):
+            if item.get_closest_marker("hypothesis") or item.get_closest_marker("slow"):
                 item.add_marker(pytest.mark.verify)
 
 

@@ -147,7 +147,6 @@ def test_claims_at_the_limit_are_rare(kind, at):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize("kind", KINDS)
 def test_claims_at_the_limit_are_rare_over_the_whole_grid(kind):
     """Bar 1: 864 settings (720 where one discretization is inherited), 3,000 data sets each."""

@@ -61,7 +61,6 @@ def test_a_specimen_that_fails_everywhere_is_found_among_the_blocks():
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_failures_by_chance_are_blamed_on_nothing_more_often_than_promised():
     """Cells that fail as a whole, at random: 5 % of data sets may blame a factor."""
     rng, blamed, ruled, sets = np.random.default_rng(7), 0, 0, 120
@@ -76,7 +75,6 @@ def test_failures_by_chance_are_blamed_on_nothing_more_often_than_promised():
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_rules_that_only_list_cases_by_chance_are_not_given():
     """Single cases fail at random: no conjunction is worth its name."""
     rng, given = np.random.default_rng(3), 0

@@ -379,7 +379,6 @@ def test_a_covariate_has_the_slope_of_least_squares(block):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize(("sizes", "share"), [((10, 3, 2), 0.8), ((6, 1, 5), 1.0), ((5, 3, 2), 1)])
 def test_intervals_of_variances_cover_what_they_promise(sizes, share):
     """Blocks, cells and rows, of which a share is there; one cell alone is a one-way layout."""

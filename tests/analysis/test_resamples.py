@@ -34,7 +34,6 @@ def resampled(random, resamples, effect=0.0, block="noise_seed"):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_the_test_has_its_size_whatever_cells_have_in_common():
     random = np.random.default_rng(3)
     terms = ("energy", "space", "energy:space")

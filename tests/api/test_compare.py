@@ -197,7 +197,6 @@ def p_of(folder, data_dir, *overrides):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_all_responses_of_a_study_are_one_family(tmp_path, data_dir):
     if not (data_dir / "ecoflex_compression").is_dir():
         pytest.skip("the Ecoflex measurements are not in the data folder (set STUDY_DATA)")

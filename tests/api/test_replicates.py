@@ -222,7 +222,6 @@ interface = "frictionless"
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_refits_by_simulation_scatter_as_their_standard_error(tmp_path):
     """Bonded plates: the measured curve is that of the quadratic cell with white noise."""
     text = MESHES.replace("mesh_seeds = 5", "noise = 60").replace('C10 = "8 kPa"\n', "")

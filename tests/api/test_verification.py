@@ -132,7 +132,6 @@ def test_a_changed_digit_anywhere_is_found(finished, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_a_record_that_was_edited_is_found_and_so_is_one_that_was_sealed_again(finished, tmp_path):
     moved = tmp_path / "edited"
     shutil.copytree(finished, moved)

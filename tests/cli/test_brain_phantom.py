@@ -43,7 +43,6 @@ def curve(path, found):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_constants_of_a_flat_tip_predict_a_needle_elsewhere(tmp_path):
     """Both curves are made by the model itself (virtual): the constant is known to be 5 kPa."""
     truth = ("material.model=neo-hookean", "material.C10=5 kPa")

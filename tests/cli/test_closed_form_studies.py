@@ -481,7 +481,6 @@ def test_simulated_responses_are_those_of_the_closed_form(alone):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_two_studies_of_simulations_are_compared(alone):
     other = ALONE.replace('"alone"', '"harder"').replace('"5 kPa", "10 kPa"', '"5 kPa", "20 kPa"')
     (alone / "harder.toml").write_text(other)

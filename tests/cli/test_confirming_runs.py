@@ -328,7 +328,6 @@ def table(found):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_it_knows_the_function_better_than_as_many_runs_of_a_hypercube(tmp_path):
     """Of eight seeds: a single one may well know less than its hypercube."""
     ours = []
@@ -358,7 +357,6 @@ def test_it_ends_with_its_goal_or_its_budget(adaptive):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_it_is_the_same_for_any_number_of_workers(adaptive, processes, tmp_path):
     _, found = adaptive
     assert table(ran(tmp_path, jobs=2)) == table(found)

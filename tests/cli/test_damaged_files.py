@@ -100,7 +100,6 @@ def test_some_damages_of_other_files(done, name):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize("name", NAMES)
 def test_all_damages_of_other_files(done, name):
     path = sorted(SMALL.glob(f"{name}.json"))[0]

@@ -113,7 +113,6 @@ def _inner(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_held_out_needles_lie_in_their_intervals(tmp_path, capsys):
     sixty = public.run(
         DESIGN, overrides=["design.runs=60"], results=tmp_path / "60", reports=None, jobs=1

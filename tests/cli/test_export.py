@@ -161,7 +161,6 @@ def test_the_bound_holds_at_displacements_that_nobody_solved_before(indented, tm
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_the_bound_holds_on_a_path_of_four_times_as_many_points(tmp_path):
     """Contact closes point by point under the edge of a punch: no smooth function."""
     text = re.sub("indenter.*", FLAT, INDENTATION).replace('"1 mm"\nsteps', '"3 mm"\nsteps')

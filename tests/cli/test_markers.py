@@ -193,7 +193,6 @@ def errors(records, material, state):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize(
     ("state", "known"),
     [

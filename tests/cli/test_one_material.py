@@ -170,7 +170,6 @@ def test_words_and_refusals(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize(("points", "least"), [(15, 0.0), (60, 0.03)])
 def test_five_percent_of_equal_materials_are_told_apart(tmp_path, points, least):
     """600 materials of three tests; a share of 0.05 +- 0.009 is expected of 60 points each.
@@ -189,7 +188,6 @@ def test_five_percent_of_equal_materials_are_told_apart(tmp_path, points, least)
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize(("truth", "verdict"), [("bonded", "agree"), ("frictionless", "differ")])
 def test_the_design_tells_two_truths_apart(tmp_path, truth, verdict):
     """Plates that are bonded as the calibration says, and plates that slip: mu0 tells it, too."""
@@ -279,7 +277,6 @@ def test_a_test_that_stops_at_a_higher_minimum_is_fitted_from_the_others(tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize("alpha", [-8.0, -3.0, 3.0, 8.0])
 def test_one_ogden_solid_is_told_apart_at_the_nominal_rate(tmp_path, alpha):
     """200 materials; at 0.05, three binomial standard deviations are 0.046."""

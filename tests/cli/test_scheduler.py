@@ -108,7 +108,6 @@ def assert_equal(found, expected):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.usefixtures("processes")  # a solver that other tests used may round otherwise
 def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(folder, tmp_path):
     cluster_folder = tmp_path / "cluster"
@@ -169,7 +168,6 @@ def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(folder,
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.usefixtures("processes")
 def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path):
     """The file is gone as soon as something is computed: workers read the copies that they got."""

@@ -33,7 +33,6 @@ def test_it_is_a_notebook_of_format_four():
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_every_cell_runs_and_shows_what_it_ends_with(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = {}

@@ -85,7 +85,6 @@ def test_reports_are_gathered_and_led_to(reference, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.skipif(
     not any(map(shutil.which, write.BROWSERS)), reason="no Chromium or Chrome is installed"
 )

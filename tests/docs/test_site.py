@@ -57,7 +57,6 @@ def run_python(text, names):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize("page", TUTORIALS)
 def test_every_snippet_of_a_tutorial_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -139,7 +138,6 @@ def test_the_reference_names_every_key_that_a_file_can_have():
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_the_site_builds_without_a_warning(tmp_path):
     assert "furo" not in declared(ROOT)  # the package itself runs without it
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", str(tmp_path)]

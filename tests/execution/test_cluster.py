@@ -31,7 +31,6 @@ def worker_processes(cluster):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path):
     """As `dask worker` starts them: children of a nanny, which may have no children of theirs."""
     with loopback(tmp_path, workers=0) as made:

@@ -107,7 +107,6 @@ def test_the_checks_see_what_is_wrong(check, bad):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.skipif(
     not any(map(shutil.which, write.BROWSERS)), reason="no Chromium or Chrome is installed"
 )

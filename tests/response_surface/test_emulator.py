@@ -278,7 +278,6 @@ ISHIGAMI = functions.ISHIGAMI_S, functions.ISHIGAMI_T
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize(
     ("function", "k", "n", "indices", "limits"),
     [
@@ -309,14 +308,12 @@ def test_published_indices_lie_in_their_intervals(function, k, n, indices, limit
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_few_runs_are_refused():
     few = [emulated(functions.ishigami, 3, 50, seed) for seed in range(5)]
     assert sum(f.gate == "refused" for f in few) >= 4
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_a_thousand_runs():
     tracemalloc.start()
     found = emulated(functions.borehole, 8, 1000, 1)

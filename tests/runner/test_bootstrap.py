@@ -94,7 +94,6 @@ def coverage(phi, rows, tests, seed=3):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize("phi", [[0.9], [1.2, -0.4]])
 def test_blocks_cover_where_the_recording_is_long(phi):
     # one binomial standard deviation of 800 tests is 0.8 points

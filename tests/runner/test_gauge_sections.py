@@ -133,7 +133,6 @@ def classic(data_dir):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_treloar(classic, tmp_path):
     """Three terms of Ogden's, 53 points of three tests: sum of squares 0.2085 MPa^2, 25 starts."""
     tests = ""

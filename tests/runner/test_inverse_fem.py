@@ -240,7 +240,6 @@ def test_bias_of_a_coarser_mesh_is_that_of_its_force():
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize("energy", [RP2, RP3], ids=["RP2", "RP3"])
 def test_bias_of_finer_data_by_mesh(energy):
     true = energy[2]
@@ -259,7 +258,6 @@ def test_bias_of_finer_data_by_mesh(energy):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_coverage_of_intervals_over_300_fem_fits():
     """V42 through the FEM: 95 % intervals hold the truth in at least 91 % of 300 fits."""
     setting, true = config(RP2), np.array(list(RP2[2].values()))

@@ -95,7 +95,6 @@ def test_minima_are_compared_by_the_interpolation_of_their_ends(tmp_path, draw):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 @pytest.mark.parametrize("interface", ["frictionless", "bonded"])
 @pytest.mark.parametrize("alpha", [-6.0, 4.0, -15.0, 10.6])
 def test_all_of_fifty_draws(tmp_path, interface, alpha):

@@ -54,7 +54,6 @@ def errors(found):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_the_best_test_leaves_the_errors_that_were_foretold(tmp_path):
     """Compression to 14 % hardly tells C10 from C01: the test it asks for is made, and told."""
     rng, ratios, promised = np.random.default_rng(2011), [], []

@@ -854,7 +854,6 @@ print(json.dumps([peak_mb, {t: [e.verdict, e.of_components, e.range] for t, e in
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_the_largest_factorial_is_analyzed_in_a_bounded_memory(tmp_path):
     """4 factors of 8 levels, 4,096 cells without repeats: pairs of cells once took 256 GiB."""
     run = subprocess.run([sys.executable, "-c", LARGEST], cwd=tmp_path, check=True,

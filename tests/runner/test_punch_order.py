@@ -82,7 +82,6 @@ def test_only_an_edge_that_every_mesh_shows_alike_rules_the_size():
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_observed_orders_under_a_sharp_edge():
     """Every element, both interfaces, two ratios; the true error where Table D has it."""
     print("\nelement, interface, nu, ratio, order, true error of every mesh, limit over truth - 1")

@@ -102,7 +102,6 @@ def punches(order):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_intervals_of_converge_hold_the_truth():
     print()
     rows = [

@@ -71,7 +71,6 @@ def _done(work, job):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_three_tests_agree_within_their_joint_intervals(tmp_path):
     """Data of a mesh finer than the fit's; what the mesh moves counts as uncertainty."""
     loaded = load.load(DESIGN)

@@ -147,7 +147,6 @@ def test_gentler_starts_keep_the_initial_shear_modulus_and_the_bounds(
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir):
     """The one of its 288 cases whose start, the fit of one order less, softens too much.
 

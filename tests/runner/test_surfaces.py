@@ -149,7 +149,6 @@ def test_a_fit_of_a_surface_starts_from_no_cylinder(home):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_energies_are_weighed_on_a_surface(home, monkeypatch):
     """The surface is found for the choice of an energy as it is for a calibration."""
     data, d = home.parent / "measurements", np.linspace(0, 0.7, 15)

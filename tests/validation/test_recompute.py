@@ -212,7 +212,6 @@ def test_records_without_a_curve_are_left_out_and_counted(results):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_a_mesh_seed_is_solved_on_its_own_mesh(home):
     found = recomputed(run(home, SEEDS), "--sample", 4)
     assert found.code == 0, found.out + found.err
@@ -263,7 +262,6 @@ def test_its_interpolation_of_a_hertz_curve(monotone):
 
 
 @pytest.mark.slow
-@pytest.mark.verify
 def test_a_study_without_measurements_is_computed_again(tmp_path, monkeypatch):
     """The peak force, the force at a displacement and the work of a simulation alone."""
     monkeypatch.chdir(tmp_path)
