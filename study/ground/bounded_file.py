@@ -274,8 +274,8 @@ def is_workbook(data: bytes) -> bool:
     return data[:4] in (b"PK\x03\x04", _OLD_WORKBOOK)
 
 
-def sheets_of(data: bytes, source: str) -> dict[str, Sequence[Sequence[object]]]:
-    """Cells of every sheet of a workbook, by its name."""
+def sheets_of(data: bytes, source: str, decimal: str = ".") -> dict[str, str]:
+    """Return the filled sheets of a workbook by their names, as tab-separated text."""
     from python_calamine import CalamineError, CalamineWorkbook
 
     mend = "save it as .xlsx, or the sheet as CSV"
@@ -287,7 +287,7 @@ def sheets_of(data: bytes, source: str) -> dict[str, Sequence[Sequence[object]]]
         if size > MAX_BYTES:
             raise InputError(Fault(source, f"unpacked, {_larger(MAX_BYTES)}", _THIN_OUT))
         book = CalamineWorkbook.from_filelike(io.BytesIO(data))
-        return {
+        sheets = {
             name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
             for name in book.sheet_names
         }
@@ -295,21 +295,27 @@ def sheets_of(data: bytes, source: str) -> dict[str, Sequence[Sequence[object]]]
         raise InputError(
             Fault(source, f"is no workbook that can be read ({error})", mend)
         ) from error
+    return {
+        name: "\n".join("\t".join(_cell_text(cell, decimal) for cell in row) for row in rows)
+        for name, rows in sheets.items()
+        if rows
+    }
 
 
 def _sheet_text(data: bytes, source: str, sheet: str, decimal: str) -> tuple[str, str]:
-    """Named or only sheet as tab-separated text with its line numbers, and what was read."""
-    sheets = sheets_of(data, source)
-    filled = [name for name, rows in sheets.items() if rows]
+    """Named or only sheet as text, and what was read."""
+    sheets = sheets_of(data, source, decimal)
+    if not sheets:
+        raise InputError(Fault(source, "holds no filled sheet"))
+    first = next(iter(sheets))
     if sheet and sheet not in sheets:
-        raise InputError(Fault(source, f"has no sheet {sheet!r}", nearest(sheet, sheets)))
-    if not sheet and len(filled) != 1:
-        listed = ", ".join(map(repr, filled[:20]))
-        rule = f"holds several sheets: {listed}" if filled else "holds no filled sheet"
-        raise InputError(Fault(source, rule, f"write sheet = {filled[0]!r}" if filled else ""))
-    name = sheet or filled[0]
-    lines = ["\t".join(_cell_text(cell, decimal) for cell in row) for row in sheets[name]]
-    return "\n".join(lines), f"workbook, sheet {name!r}"
+        rule = f"has no filled sheet {sheet!r}"
+        raise InputError(Fault(source, rule, nearest(sheet, sheets)))
+    if not sheet and len(sheets) > 1:
+        rule = f"holds several sheets: {', '.join(map(repr, list(sheets)[:20]))}"
+        raise InputError(Fault(source, rule, f"write sheet = {first!r}"))
+    name = sheet or first
+    return sheets[name], f"workbook, sheet {name!r}"
 
 
 def _cell_text(cell: object, decimal: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -74,7 +75,13 @@ def gauge_of(setup: Setup) -> Gauge | None:
     if setup.height_mm is None:
         return None
     height, area = height_and_area(setup.specimen)
-    return Gauge(area, height, setup.kind.mode, setup.kind.sense, setup.is_homogeneous)
+    power, indenter = 1.0, setup.test.indenter
+    if indenter is not None:
+        # the slope of the force is in proportion to the radius of contact (Sneddon 1965)
+        shallow = 0.1 * (setup.test.displacement_mm or height)
+        radii = [indenter.contact_radius_mm(depth) for depth in (shallow, 2 * shallow)]
+        power += math.log2(radii[1] / radii[0])
+    return Gauge(area, height, setup.kind.mode, setup.kind.sense, setup.is_homogeneous, power)
 
 
 class DataCache:

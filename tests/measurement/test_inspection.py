@@ -270,6 +270,16 @@ def test_lines_that_are_no_rows_are_named_and_a_single_row_turns_no_sign(tmp_pat
     assert (found.rows, "sign" in found.measurements) == (41, False)
 
 
+def test_the_sheet_that_holds_a_test_is_shown_and_the_others_are_named(tmp_path):
+    signal = [["Time (s)", "Signal (V)"], *([0.1 * k, 0.5] for k in range(600))]
+    sheets = {"notes": [["nothing"]], "Run 1": ROWS[1:], "Run 2": ROWS[1:-5], "check": signal}
+    (tmp_path / "a.xlsx").write_bytes(layouts.workbook(sheets))
+    found = inspect(tmp_path / "a.xlsx")
+    assert (found.measurements["sheet"], found.rows, found.sheets) == ("Run 1", 41, tuple(sheets))
+    assert "'Run 2' holds a test too" in found.notes[0]
+    assert inspect(tmp_path / "a.xlsx", "Run 2").rows == 36
+
+
 def test_a_slow_tear_is_refused(tmp_path):
     torn = force(UP) * np.where(UP > 5, 1 - 0.9 * np.clip((UP - 5) / 0.4, 0, 1), 1)
     with pytest.raises(InputError, match="the specimen tore"):

@@ -133,6 +133,24 @@ def test_the_standard_error_of_a_contact_is_that_of_its_draws(tmp_path):
     assert np.sqrt(np.mean(off**2)) == pytest.approx(np.mean(errors), rel=0.4)
 
 
+@pytest.mark.parametrize("power", [1.5, 2.0])
+def test_a_contact_is_found_by_the_law_of_its_indenter(tmp_path, power):
+    """A force that sets in without a slope: 20 draws, .3 % noise, contact at 3.93 mm."""
+    rng, place = np.random.default_rng(18), np.linspace(0.0, 10.0, 161)
+    gauge = Gauge(1000.0, 25.0, "uniaxial", -1.0, False, onset_power=power)
+    contacts, errors = [], []
+    for _ in range(20):
+        force = np.maximum(place - 3.93, 0.0) ** power
+        write(tmp_path, place, force + 0.003 * force.max() * rng.normal(size=place.size))
+        read_as = spec(displacement_zero="contact")
+        test = read_measurements(read_as, tmp_path, gauge=gauge).tests[0]
+        contacts.append(-test.specimen.displacement_mm[0])
+        errors.append(test.contact_error_mm)
+    off = np.array(contacts) - 3.93
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(np.mean(errors), rel=0.5)
+    assert abs(off.mean()) < np.mean(errors)
+
+
 def test_the_load_cell_is_zeroed_by_the_whole_approach_where_contact_is_declared(tmp_path):
     """Twice as many rows as the first tenth, and no slope: its mean, to a rounding."""
     place = np.linspace(0.0, 10.0, 101)

@@ -83,11 +83,11 @@ def with_serial_correlation(
     )
     if not free.all():
         return corrected
-    return _judged(corrected, rows + len(fit.priors) - free.size, measured)
+    return judged_again(corrected, rows + len(fit.priors) - free.size, measured)
 
 
-def _judged(fit: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:
-    """Fit with the verdict that its new intervals give."""
+def judged_again(fit: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:
+    """Fit with the verdict on its parameters that its new intervals give."""
     pairs = zip(measured, fit.curves, strict=True)
     rows = np.concatenate([m.slopes(c, fit.names) for m, c in pairs])
     force = np.concatenate([m.weights * m.curve.force_N for m in measured])

@@ -78,8 +78,8 @@ class Rules:
     is_signed: bool = False
     #: Whether a specimen that is not loaded at first is a fault: not where contact is fitted.
     judges_slack: bool = False
-    #: Whether an uncertain contact may be declared, and is not yet.
-    asks_offset: bool = False
+    #: Power of the displacement from contact with which the force begins.
+    onset_power: float = 1.0
     #: How far from the recorded zero the fitted one may lie.
     zero_within_mm: float = 0.0
 
@@ -351,32 +351,33 @@ _PLACES = 40
 _MOST_BINS = 400
 
 
-def placed(displacement_mm: Array, resisted: Array, rules: Rules, where: str) -> tuple[Array, str]:
-    """Displacement of the specimen from the recorded one, and what was done.
+def placed(
+    displacement_mm: Array, resisted: Array, rules: Rules, where: str
+) -> tuple[Array, str, float]:
+    """Displacement of the specimen from the recorded one, what was done, and the contact's error.
 
     Shapes: displacement_mm, resisted (rows,), mm, N or MPa; returns (rows,).
     """
     d, f = displacement_mm, rules.turn * resisted
     if rules.spec.direction == "auto" and rules.counts_from is None:
-        return d, ""
+        return d, "", 0.0
     way = {"rising": 1.0, "falling": -1.0}.get(rules.spec.direction) or _way(d - d[0], f)
     word = "rising" if way > 0 else "falling"
     zero = rules.counts_from or 0.0
     if zero == "first row":
         zero = float(d[0])
     elif isinstance(zero, str):
-        zero = _contact(d, f, way, where)
+        zero = _contact(d, f, way, rules.onset_power, where)
     chosen = f" ({rules.counts_from})" if isinstance(rules.counts_from, str) else ""
+    error = 0.0
     if rules.counts_from == "contact":
-        error = _refined(way * d, f, way * zero)[1]
-        mend = ", which the intervals do not hold" if rules.asks_offset else ""
-        mend = mend and f'{mend}: write displacement_offset = "{error:.2g} mm" in [nuisance]'
-        chosen = f" (contact, standard error {error:.2g} mm{mend})"
+        error = _refined(way * d, f, way * zero, rules.onset_power)[1]
+        chosen = f" (contact, standard error {error:.2g} mm)"
     done = f"{where}: displacement counts from {zero:.6g} mm{chosen}, {word}"
-    return way * (d - zero) + 0.0, done
+    return way * (d - zero) + 0.0, done, error
 
 
-def _contact(d: Array, f: Array, way: float, where: str) -> float:
+def _contact(d: Array, f: Array, way: float, power: float, where: str) -> float:
     """Return the recorded displacement at which the force leaves the scatter of the approach."""
     moved, peak = way * d, int(np.argmax(f))
     corner = slack_end(moved, f)
@@ -386,7 +387,7 @@ def _contact(d: Array, f: Array, way: float, where: str) -> float:
         rule = "the force rises from the first row on: no row shows the specimen before contact"
         raise InputError(Fault(where, rule, 'write displacement_zero = "first row" or a length'))
     if flat is None:
-        return way * _refined(moved, f, float(corner or 0.0))[0]
+        return way * _refined(moved, f, float(corner or 0.0), power)[0]
     base = f[: peak + 1][moved[: peak + 1] <= moved[0] + flat * travel]
     hidden = 4.0 * float(base.std())
     last = int(np.flatnonzero(f[: peak + 1] <= float(base.mean()) + hidden)[-1])
@@ -394,15 +395,17 @@ def _contact(d: Array, f: Array, way: float, where: str) -> float:
     row = float(moved[following] - moved[last])
     # scatter hides the first rise: the rows about it tell where it was, unless one shows it clearly
     is_clear = hidden < _SHOWN * float(f[following] - base.mean())
-    onset, _ = _refined(moved, f, float(moved[last]) if is_clear or corner is None else corner)
+    begun = float(moved[last]) if is_clear or corner is None else corner
+    onset, _ = _refined(moved, f, begun, power)
     is_row = is_clear and abs(onset - float(moved[last])) <= _AT_ROW * row
     return float(d[last]) if is_row else way * onset
 
 
-def _refined(moved: Array, f: Array, onset: float) -> tuple[float, float]:
-    """Place at which a level meets a parabola by least squares from a first guess, and its error.
+def _refined(moved: Array, f: Array, onset: float, power: float) -> tuple[float, float]:
+    """Place at which a level meets a rise by least squares from a first guess, and its error.
 
-    The error of a place that no noise tells is that of a place between two rows.
+    The rise begins with a power of the displacement; its second term has one more. The error of a
+    place that no noise tells is that of a place between two rows.
 
     Shapes: moved, f (rows,), mm, rising from the first row on, N.
     """
@@ -415,9 +418,11 @@ def _refined(moved: Array, f: Array, onset: float) -> tuple[float, float]:
         return begun, error
     for _ in range(_REFINEMENTS):
         beyond = np.maximum(x - onset, 0.0)
-        basis = np.column_stack([np.ones_like(x), beyond, beyond**2])
+        rises = [beyond**power, beyond ** (power + 1)]
+        basis = np.column_stack([np.ones_like(x), *rises])
         constants: Array = np.asarray(np.linalg.lstsq(basis, y, rcond=None)[0], dtype=np.float64)
-        slope = -np.where(beyond > 0, constants[1] + 2.0 * constants[2] * beyond, 0.0)
+        steeper = power * constants[1] * beyond ** (power - 1)
+        slope = -np.where(beyond > 0, steeper + (power + 1) * constants[2] * beyond**power, 0.0)
         across = slope - basis @ np.linalg.lstsq(basis, slope, rcond=None)[0]
         rest = y - basis @ constants
         curvature = float(across @ across)
@@ -427,7 +432,7 @@ def _refined(moved: Array, f: Array, onset: float) -> tuple[float, float]:
         onset = float(np.clip(onset + float(across @ rest) / curvature, x[0], x[-1]))
     # a force that sets in without a slope has no corner to be brought to
     secant = float(f[peak] - constants[0]) / max(float(moved[peak] - onset), 1e-300)
-    if constants[1] < _AT_ONCE * secant:
+    if power == 1.0 and constants[1] < _AT_ONCE * secant:
         return begun, max(noise, error, abs(onset - begun))
     return onset, noise if noise > _ROUNDING * spacing else error
 

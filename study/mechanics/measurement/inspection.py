@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -43,6 +44,7 @@ from study.mechanics.measurement.written_units import (
     written_unit,
 )
 
+_IS_RECORDING = "is it a table of a recording?"
 #: rows in a row that a block of numbers has at least
 _BLOCK = 3
 #: rows whose middle force is that of the unloaded specimen
@@ -160,16 +162,32 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     source = path.name
     raw = read_bytes(path, source)
     data = unzipped(raw, source)
-    sheets: tuple[str, ...] = ()
-    if is_workbook(data):
-        held = sheets_of(data, source)
-        sheets = tuple(held)
-        numbers = {
-            name: sum(isinstance(cell, float) for row in rows for cell in row)
-            for name, rows in held.items()
-        }
-        sheet = sheet or max(numbers, key=numbers.__getitem__, default="")
-    text, encoding = table_text(raw, source, sheet=sheet)
+    sheets = sheets_of(data, source) if is_workbook(data) else {}
+    if sheet or len(sheets) < 2:
+        inspection = _inspected(*table_text(raw, source, sheet=sheet), source, sheet)
+        return replace(inspection, sheets=tuple(sheets))
+    inspections: dict[str, Inspection] = {}
+    for name, text in sheets.items():
+        with suppress(InputError):  # a sheet of remarks or of results
+            inspections[name] = _inspected(text, f"workbook, sheet {name!r}", source, name)
+    if not inspections:
+        raise InputError(Fault(source, "holds no sheet with rows of numbers", _IS_RECORDING))
+    tests = [name for name, inspection in inspections.items() if len(inspection.units) > 1]
+    longest = max(tests or inspections, key=lambda name: inspections[name].rows)
+    inspection = replace(inspections[longest], sheets=tuple(sheets))
+    others = [repr(name) for name in tests if name != longest]
+    if not others:
+        return inspection
+    note = (
+        f"sheet {longest!r} is shown since it has most rows; {', '.join(others[:6])} "
+        f"{'hold tests' if len(others) > 1 else 'holds a test'} too: study inspect --sheet shows "
+        "it, and each sheet is a [[tests]] table of its own"
+    )
+    return replace(inspection, notes=(note, *inspection.notes))
+
+
+def _inspected(text: str, encoding: str, source: str, sheet: str) -> Inspection:
+    """Look at the text of a file, or of a sheet."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if len(lines) > MAX_ROWS + 1000:
         rule = f"has {len(lines)} lines, at most {MAX_ROWS} rows are read"
@@ -178,7 +196,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     notes: list[str] = []
     columns, numbers_of, words = _columns(block, units_above(lines[: block.skip]), notes)
     table: dict[str, object] = {"file": source}
-    if sheet and len(sheets) > 1:
+    if sheet:
         table["sheet"] = sheet
     table |= _layout(block, notes)
     chosen = _pair(columns, notes)
@@ -211,7 +229,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         missing = "displacement or strain" if not kinematic else "force or stress"
         notes.append(f"no column is known to hold {missing}: name it in columns and units")
     return Inspection(
-        source, encoding, sheets, block.delimiter, block.decimal,
+        source, encoding, (), block.delimiter, block.decimal,
         tuple(line.strip()[:120] for line in lines[: block.skip] if line.strip())[:8],
         block.header, block.units, block.at[0], block.at[-1], len(block.at),
         tuple(columns), tuple(placed), table, tuple(notes),
@@ -279,7 +297,7 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
                 best = (score, delimiter, decimal)
     if best is None:
         rule = f"holds no block of {_BLOCK} lines with two numbers or more"
-        mend = "is it a table of a recording?"
+        mend = _IS_RECORDING
         if (odd := Counter(_ODD_NUMBER.findall("\n".join(lines[:_LOOKED_AT])))).total() >= _BLOCK:
             (cell, unit), _ = odd.most_common(1)[0]
             rule = f"{rule}: cells such as {cell!r} are none"

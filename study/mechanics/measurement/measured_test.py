@@ -50,6 +50,8 @@ class SingleTest:
     zero_N: float = 0.0
     toe_mm: float = 0.0
     offset: float | None = None
+    #: Standard error of the contact from which displacement counts; 0 where it was not found here.
+    contact_error_mm: float = 0.0
 
     @property
     def groups(self) -> Mapping[str, str]:

@@ -69,7 +69,7 @@ def read_measurements(
         rules,
         # closed forms of indentation find contact themselves, and come another way
         judges_slack=gauge is not None and zero_within_mm is None,
-        asks_offset=own_rows and zero_within_mm is None,
+        onset_power=1.0 if gauge is None else gauge.onset_power,
         zero_within_mm=zero_within_mm or 0.0,
         is_signed=both_ways and (spec.range is None or rules.low_mm < 0),
     )
@@ -156,14 +156,14 @@ def specimens(
     kinematic, branch = rules.spec.columns.kinematic, rules.spec.branch
     if gauge is not None and gauge.mode == "simple-shear" and recording.time_s is None:
         recording = _folded(recording)
-    moved, notes = _in_place(recording, rules)
+    moved, notes, contact_error = _in_place(recording, rules)
     d, f = displacement_and_force(moved, gauge)
     is_course = recording.time_s is not None
     kind, conditioned = ("course", condition_course) if is_course else ("curve", condition)
     if d.size < MIN_ROWS:
         rule = f"has {d.size} rows, a {kind} needs at least {MIN_ROWS}"
         raise InputError(Fault(recording.where, rule))
-    test = conditioned(d, f, rules, recording)
+    test = replace(conditioned(d, f, rules, recording), contact_error_mm=contact_error)
     longest = 1.0
     if gauge is not None and gauge.mode != "simple-shear":
         longest = 1 + float((gauge.sense * d).max()) / gauge.length_mm
@@ -194,16 +194,16 @@ def _folded(recording: Recording) -> Recording:
     return replace(recording, kinematic=far, kinetic=hard, lines=lines)
 
 
-def _in_place(recording: Recording, rules: Rules) -> tuple[Recording, list[str]]:
-    """Put a recording into the coordinate of the specimen; say what was done."""
+def _in_place(recording: Recording, rules: Rules) -> tuple[Recording, list[str], float]:
+    """Put a recording into the coordinate of the specimen; what was done, error of its contact."""
     spec = rules.spec
     if spec.columns.kinematic != "displacement":
         if spec.displacement_zero is not None or spec.direction != "auto":
             rule = f"belongs to a column of displacement, not of {spec.columns.kinematic}"
             raise InputError(Fault("measurements.displacement_zero", rule, "leave it out"))
-        return recording, []
-    moved, did = placed(recording.kinematic, recording.kinetic, rules, recording.where)
-    return replace(recording, kinematic=moved), [did] if did else []
+        return recording, [], 0.0
+    moved, did, error = placed(recording.kinematic, recording.kinetic, rules, recording.where)
+    return replace(recording, kinematic=moved), [did] if did else [], error
 
 
 def _begun(rules: Rules, recorded: Recordings, gauge: Gauge | None) -> Rules:

@@ -103,6 +103,8 @@ class Gauge:
     sense: float
     #: Whether the specimen deforms the same everywhere, so that it has one stretch.
     is_homogeneous: bool
+    #: Power of the displacement from contact with which the force begins.
+    onset_power: float = 1.0
 
 
 def displacement_and_force(recording: Recording, gauge: Gauge | None) -> tuple[Array, Array]:

@@ -43,6 +43,7 @@ from study.simulation.calibration.measured_tests import (
     parts_of,
     read_tests,
     warnings_of,
+    with_contact_offsets,
 )
 from study.simulation.calibration.nuisance import NuisancePredictions, with_nuisance
 from study.simulation.calibration.optimal_tests import next_tests
@@ -218,6 +219,7 @@ def calibrate(
     """
     began = time.perf_counter()
     curves, notes = read_tests(config.tests, root, config.fitting.loss)
+    config = replace(config, tests=with_contact_offsets(config.tests, curves))
     by_specimen, left = _splits(config, curves)
     allowed = math.inf if config.fitting.max_time is None else config.fitting.max_time
     limits = Limits(config.fitting.max_evaluations, time.monotonic() + allowed)

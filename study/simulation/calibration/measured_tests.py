@@ -23,7 +23,7 @@ from study.mechanics.setup.calibration_table import Fitting, Loss
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 from study.simulation.fit_problem import fitted_test
 from study.simulation.job import gauge_of
-from study.simulation.problem_file import OFFSET, CalibratedTest, Role
+from study.simulation.problem_file import OFFSET, CalibratedTest, NuisanceInput, Role
 from study.simulation.response import CURVE_RESPONSES, residual_N
 from study.simulation.staged_fit import FitPart
 
@@ -91,6 +91,26 @@ def read_tests(
             )  # fmt: skip
             curves.append(_with_loss(curve, loss))
     return curves, tuple(dict.fromkeys(notes))
+
+
+def with_contact_offsets(
+    tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]
+) -> tuple[CalibratedTest, ...]:
+    """Let each curve whose contact was found in its rows have an offset, within that error.
+
+    Of 20 tests with .3 % noise 18 intervals that took a contact found for exact missed the truth.
+    """
+    out = []
+    for number, test in enumerate(tests):
+        in_rows = [c for c in curves if c.test == number and c.curve.time_s is None]
+        errors = [single.contact_error_mm for c in in_rows for single in c.measured.tests]
+        if OFFSET not in test.nuisance and max(errors, default=0.0) > 0:
+            # rows beyond contact told it and enter the fit, too: each tells it half
+            error = math.sqrt(2.0) * max(errors)
+            offset = NuisanceInput(error, 0.0, treat="fitted", each="curve")
+            test = replace(test, nuisance={**test.nuisance, OFFSET: offset})
+        out.append(test)
+    return tuple(out)
 
 
 def _weight(weight: float | str, measured: MeasuredTest, where: str) -> float | Array:

@@ -12,7 +12,11 @@ from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.fit import Fit, fit
-from study.mechanics.calibration.fit_influence import recorded_rows, with_serial_correlation
+from study.mechanics.calibration.fit_influence import (
+    judged_again,
+    recorded_rows,
+    with_serial_correlation,
+)
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import (
     MeasuredCurve,
@@ -453,7 +457,10 @@ def with_nuisance(
     moved = nuisance_fit.moved(joint)
     joint = with_serial_correlation(plain, curves, moved @ moved.T)
     estimates = tuple(nuisance_fit.estimate(param, plain, joint, moved) for param in parameters)
-    return replace(_part(joint, first_fit.names), joint=joint, nuisance=estimates)
+    constants = _part(joint, first_fit.names)
+    if np.isfinite(constants.covariance).all():
+        constants = judged_again(constants, joint.degrees_of_freedom, curves)
+    return replace(constants, joint=joint, nuisance=estimates)
 
 
 def _part(joint: Fit, names: tuple[str, ...]) -> Fit:
@@ -463,13 +470,17 @@ def _part(joint: Fit, names: tuple[str, ...]) -> Fit:
     if serial is not None:
         mixture = None if serial.mixture is None else serial.mixture.of(np.array(places))
         serial = replace(serial, inflation=serial.inflation[places], mixture=mixture)
+    values, covariance = joint.values[places], joint.covariance[np.ix_(places, places)]
+    relative = np.where(values == 0, 1.0, values)
+    spread = np.linalg.eigvalsh(np.nan_to_num(covariance / np.outer(relative, relative)))
     return replace(
         joint,
         names=names,
-        values=joint.values[places],
+        values=values,
+        condition=float(np.sqrt(spread[-1] / spread[0])) if spread[0] > 0 else np.inf,
         standard_error=joint.standard_error[places],
         ci95=joint.ci95[places],
-        covariance=joint.covariance[np.ix_(places, places)],
+        covariance=covariance,
         correlation=joint.correlation[np.ix_(places, places)],
         serial=serial,
         priors=(),
