@@ -130,6 +130,17 @@ def test_a_contact_that_the_rows_show_is_in_the_intervals(tmp_path):
     assert held >= 10
 
 
+def test_a_specimen_was_met_before_it_carried_the_toe(tmp_path):
+    d = np.linspace(0.0, 6.0, 121)
+    write_rows(tmp_path, d, pressed("neo-hookean", {"C10": 7e-3}, d), 0.0, 1)
+    rows = {**RAW, "range": '["1 %", "20 %"]', "more": ', toe = "0.1 N"'}
+    found = api.calibrate(case(tmp_path, [rows], "neo-hookean", ""), data=tmp_path)
+    assert found.fit.values[0] == pytest.approx(7e-3, rel=1e-4)
+    assert found.fit.nuisance[0].value == pytest.approx(
+        0.1 / (6 * 7e-3 * 25**2 * np.pi / 30), rel=0.01
+    )
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_offset_and_zero_of_a_test_are_found(tmp_path):
     """A test begun 0.3 mm late by a cell that reads 0.2 N too much."""

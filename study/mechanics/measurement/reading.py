@@ -163,7 +163,8 @@ def specimens(
     if d.size < MIN_ROWS:
         rule = f"has {d.size} rows, a {kind} needs at least {MIN_ROWS}"
         raise InputError(Fault(recording.where, rule))
-    test = replace(conditioned(d, f, rules, recording), contact_error_mm=contact_error)
+    test = conditioned(d, f, rules, recording)
+    test = replace(test, contact_error_mm=max(contact_error, test.contact_error_mm))
     longest = 1.0
     if gauge is not None and gauge.mode != "simple-shear":
         longest = 1 + float((gauge.sense * d).max()) / gauge.length_mm

@@ -47,7 +47,13 @@ from study.simulation.calibration.measured_tests import (
 )
 from study.simulation.calibration.nuisance import NuisancePredictions, with_nuisance
 from study.simulation.calibration.optimal_tests import next_tests
-from study.simulation.calibration.resampling import Starts, bootstrap, excluded, scattered
+from study.simulation.calibration.resampling import (
+    Starts,
+    bootstrap,
+    excluded,
+    refuse_bootstrap,
+    scattered,
+)
 from study.simulation.fit_problem import FitProblem, fitted_test, start_problem, status_of
 from study.simulation.problem_file import CalibratedTest, CalibrationDesign
 from study.simulation.provenance import code_version
@@ -220,6 +226,7 @@ def calibrate(
     began = time.perf_counter()
     curves, notes = read_tests(config.tests, root, config.fitting.loss)
     config = replace(config, tests=with_contact_offsets(config.tests, curves))
+    refuse_bootstrap(config.tests, resamples)
     by_specimen, left = _splits(config, curves)
     allowed = math.inf if config.fitting.max_time is None else config.fitting.max_time
     limits = Limits(config.fitting.max_evaluations, time.monotonic() + allowed)

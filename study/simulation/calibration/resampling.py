@@ -22,7 +22,7 @@ from study.mechanics.material.relaxation import is_of_relaxation
 from study.simulation import fit_task
 from study.simulation.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
 from study.simulation.fit_task import Residuals, resampled, residuals_of
-from study.simulation.problem_file import CalibrationDesign
+from study.simulation.problem_file import CalibratedTest, CalibrationDesign
 from study.simulation.response import in_shown_units
 from study.simulation.staged_fit import (
     FitPart,
@@ -82,6 +82,19 @@ class Bootstrap(Keyed):
         return super().keyed() | shown
 
 
+def refuse_bootstrap(tests: Sequence[CalibratedTest], resamples: int) -> None:
+    """Refuse, before anything is fitted, resamples that are too few or leave a parameter open."""
+    if resamples <= 0:
+        return
+    if resamples < FEWEST:
+        rule = f"must be at least {FEWEST} resamples for an interval of 95 %, got {resamples}"
+        raise InputError(Fault("--bootstrap", rule, "write --bootstrap 1000"))
+    if any(test.nuisance for test in tests):
+        rule = "cannot resample what is expected of nuisance parameters"
+        mend = "leave one or the other out; of a contact found in the rows, write its displacement"
+        raise InputError(Fault("--bootstrap", rule, f'{mend}: displacement_zero = "5.2 mm"'))
+
+
 def bootstrap(
     fit: Fit,
     config: CalibrationDesign,
@@ -90,12 +103,6 @@ def bootstrap(
     bounds: Sequence[tuple[float, float]] | None = None,
 ) -> Bootstrap:
     """Fit the constants again to resampled data."""
-    if resamples < FEWEST:
-        rule = f"must be at least {FEWEST} resamples for an interval of 95 %, got {resamples}"
-        raise InputError(Fault("--bootstrap", rule, "write --bootstrap 1000"))
-    if fit.joint is not None:
-        rule = "cannot resample what is expected of fitted nuisance parameters"
-        raise InputError(Fault("--bootstrap", rule, "leave one or the other out"))
     tests, seed = config.tests, config.fitting.seed
     ordered, rng = in_order(curves), np.random.default_rng(seed)
     specimens = of_specimens(ordered)
