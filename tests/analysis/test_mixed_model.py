@@ -506,21 +506,24 @@ def crossed_rows(random, *, blocks, repeats, sd, shift):
     ("analyze", "blocks", "repeats"),
     [(study.mixed_model, (5,), 4), (study.anova, (5, 5), 1), (study.anova, (4, 3), 5)],
 )
-def test_no_claim_is_made_of_effects_that_differ_between_blocks(analyze, blocks, repeats):
+@pytest.mark.parametrize(("tables", "most"), [(20, 3), pytest.param(60, 7, marks=pytest.mark.slow)])
+def test_no_claim_is_made_of_effects_that_differ_between_blocks(
+    analyze, blocks, repeats, tables, most
+):
     """Five blocks know an effect from five differences, however many rows they have.
 
     Of 60 tables with a difference of exactly the practical one a right rule makes at most 7 false
-    claims in 98 % of cases; the random block alone made 29.
+    claims in 98 % of cases, of 20 at most 3; the random block alone made 29 of 60.
     """
     claimed = 0
     names = [f"s{at}" for at in range(len(blocks))]
     exact = {"exact": False} if analyze is study.anova else {}
-    for seed in range(60):
+    for seed in range(tables):
         random = np.random.default_rng(seed)
         table = crossed_rows(random, blocks=blocks, repeats=repeats, sd=0.8, shift=1.0)
         (effect,) = analyze(table, "y", ["a"], block=names, practical=1.0, **exact).effects
         claimed += effect.verdict != "cannot tell"
-    assert claimed <= 7
+    assert claimed <= most
 
 
 def test_effects_alike_in_all_blocks_are_claimed_from_all_rows():
@@ -549,10 +552,13 @@ def test_copied_rows_and_blocks_are_refused_by_mixed_models():
         study.mixed_model(pd.concat([blocks, again]), "y", ["a"], block="s0")
 
 
-def test_skewed_differences_of_complete_blocks_are_no_certain_mean():
+@pytest.mark.parametrize(
+    ("tables", "most"), [(20, 2), pytest.param(100, 10, marks=pytest.mark.slow)]
+)
+def test_skewed_differences_of_complete_blocks_are_no_certain_mean(tables, most):
     """Lognormal differences of mean 1, sigma 1.2: their sample means lie far below it."""
     claimed = 0
-    for seed in range(100):
+    for seed in range(tables):
         random = np.random.default_rng(seed)
         apart = random.lognormal(-0.72, 1.2, 8)
         base = random.uniform(0, 10, 8)
@@ -561,4 +567,4 @@ def test_skewed_differences_of_complete_blocks_are_no_certain_mean():
         table = pd.DataFrame({"s": blocks, "a": ["low"] * 8 + ["high"] * 8, "y": y})
         result = study.mixed_model(table, "y", ["a"], block="s", practical=1.0)
         claimed += result.effects[0].verdict != "cannot tell"
-    assert claimed <= 10
+    assert claimed <= most
