@@ -307,14 +307,18 @@ def _sheet_text(data: bytes, source: str, sheet: str, decimal: str) -> tuple[str
     sheets = sheets_of(data, source, decimal)
     if not sheets:
         raise InputError(Fault(source, "holds no filled sheet"))
-    first = next(iter(sheets))
+    longest = max(sheets, key=lambda name: len(sheets[name]))
     if sheet and sheet not in sheets:
         rule = f"has no filled sheet {sheet!r}"
         raise InputError(Fault(source, rule, nearest(sheet, sheets)))
     if not sheet and len(sheets) > 1:
         rule = f"holds several sheets: {', '.join(map(repr, list(sheets)[:20]))}"
-        raise InputError(Fault(source, rule, f"write sheet = {first!r}"))
-    name = sheet or first
+        mend = (
+            f"write sheet = {longest!r} in [measurements], --sheet {longest!r} with analyze and "
+            "inspect, or save the sheet as CSV"
+        )
+        raise InputError(Fault(source, rule, mend))
+    name = sheet or longest
     return sheets[name], f"workbook, sheet {name!r}"
 
 

@@ -362,11 +362,19 @@ def _check_widths(
     if not bad:
         return
     k = bad[0]
+    usual, count = Counter(map(len, rows)).most_common(1)[0]
     mend = f"columns are separated by {delimiter!r}; every row needs {width} cells"
-    if delimiter == "," and len(rows[k]) == 2 * width:
+    if delimiter == "," and len(rows[k]) == 2 * width > 2:
         mend = (
             "this looks like a decimal comma in a comma-separated file, which cannot be told "
             "apart: save it with ';' between columns and write decimal = \",\""
+        )
+    first = next(k for k, row in enumerate(rows) if len(row) == usual)
+    if first > 1 or (first == 1 and width == 1):
+        line = numbers[first]
+        mend = (
+            f"{count} lines have {usual} cells, the first is line {line}: if it names the columns, "
+            f"delete the lines above it, or write skip_lines = {line - 1} in [measurements]"
         )
     more = f" (and {len(bad) - 1} more rows)" if len(bad) > 1 else ""
     rule = f"has {len(rows[k])} cells where the header has {width}{more}"

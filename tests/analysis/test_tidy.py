@@ -46,6 +46,7 @@ def test_marks_of_a_missing_response(tmp_path, mark):
         (GOOD.replace(",", ";").replace("1.5", "1,5"), "write --decimal ,"),
         (GOOD.replace(",", ";").replace("2.5", "2,5"), "(?s)data.csv:3:.* declared: --decimal ,"),
         (GOOD.replace("x,1,1.5", "x,1,1,5"), "data.csv:2: has 4 cells where the header has 3"),
+        ("made by X\n" + GOOD, "the first is line 2: if it names the columns, delete the lines"),
         ("\n" + GOOD.replace("z,1", ",1"), "data.csv:5: column 'a': the level is empty"),
         (GOOD.replace("z,1", "z, 1"), "data.csv:4: .* of line 2 differ in blanks alone"),
         (GOOD.replace("a,b", "b,b"), "stands 2 times in the header"),
