@@ -159,7 +159,7 @@ def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
         for lost in data.factors[effect.term]
         if lost not in effect.levels
     )
-    why = "half of their cases or more failed, or every one on the finest mesh"
+    why = "more than half of their cases failed, or every one on the finest mesh"
     return [f"Left out, because {why}: {listing(list(gone))}."] if gone else []
 
 

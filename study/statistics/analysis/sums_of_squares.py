@@ -32,6 +32,7 @@ from study.statistics.analysis.linear_model import (
 
 if TYPE_CHECKING:
     from statsmodels.regression.linear_model import OLSResults
+    from statsmodels.stats.outliers_influence import OLSInfluence
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,11 @@ class Factored(Factorization):
     def residual(self) -> Array:
         """Residual in the units of the response, shape (n,)."""
         return np.asarray(self.ols.resid)
+
+    @cached_property
+    def of_rows(self) -> OLSInfluence:
+        """What single rows do to the fit, by statsmodels."""
+        return self.ols.get_influence()
 
     @property
     def fitted(self) -> Array:
@@ -337,6 +343,11 @@ class TwoWayFit:
         # a second projection removes what rounding left of the model in the residual
         return np.asarray(residual - self.projected(residual))
 
+    @cached_property
+    def of_rows(self) -> OLSInfluence:
+        """What single rows do to the fit, by statsmodels."""
+        return self.ols.get_influence()
+
     @property
     def fitted(self) -> Array:
         """Fit in the units of the response, shape (n,)."""
@@ -505,7 +516,7 @@ def influence(fit: Factored | TwoWayFit) -> Influence:
     # a row of leverage one, or a saturated fit, has 0 / 0 here
     with np.errstate(divide="ignore", invalid="ignore"):
         if isinstance(fit, Factored):
-            rows = fit.ols.get_influence()
+            rows = fit.of_rows
             leverage, cook = rows.hat_matrix_diag, rows.cooks_distance[0]
             return Influence(leverage, np.where(leverage < EXACT, cook, np.nan), rows.resid_press)
         left = 1 - fit.leverage
