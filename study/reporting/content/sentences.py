@@ -188,6 +188,7 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
             + " (where all its levels were measured)" * e.is_partial
             + (f" (not shown if {blocks_needed(e, facts)} is left out)" if e.lost_without else "")
             + f" ({_LIKE_THE_OTHERS})" * (e.term in facts.hang_on_missing)
+            + f" ({e.condition})" * bool(e.condition)
             for e in small
         ]
         choice = "that of" if parts else "the choice of"
@@ -221,6 +222,7 @@ def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
         shown += " between extremes"
     if effect.lost_without:
         shown += f"; not so if {blocks_needed(effect, facts)} is left out"
+    shown += f"; {effect.condition}" * bool(effect.condition)
     return shown + f"; {_LIKE_THE_OTHERS}" * (effect.term in facts.hang_on_missing)
 
 

@@ -558,7 +558,7 @@ def _withdrawn(gate: Gate, contrasted: Sequence[_Sides], printed: list[Contrast]
         for i, (verdict, _) in enumerate(_verdicts(scale, contrasted, estimates)):
             if contrasts[i].verdict in rival.claims and contrasts[i].verdict != verdict:
                 contrasts[i] = replace(contrasts[i], verdict=CANNOT_TELL, why=rival.why)
-    return contrasts
+    return [replace(c, why=gate.condition) if c.verdict in CLAIMS else c for c in contrasts]
 
 
 def _verdicts(
