@@ -409,6 +409,16 @@ def test_a_unit_in_several_cells_is_a_block():
     assert any("--block subject" in note for note in unit.notes)
 
 
+@pytest.mark.parametrize(("letter", "told"), [("S", True), ("", False)])
+def test_a_unit_with_a_name_of_its_own_in_every_cell_may_be_one_and_the_same(letter, told):
+    """Subjects at each of three temperatures, or samples that are numbered anew at each."""
+    table = crossed(subject=6, a=3, k=2)
+    table["y"] = np.random.default_rng(2).normal(0, 1, len(table))
+    table["subject"] = letter + table["subject"].astype(str)
+    notes = analyzed(table, ["a"], unit="subject").notes
+    assert any("--block subject compares the cells within it" in note for note in notes) == told
+
+
 def test_means_of_a_split_plot_have_intervals():
     """Of a whole plot's level: the scatter of whole plots; of the others: of both strata."""
     table = sessions()

@@ -74,9 +74,8 @@ def prepare(
         mend = "an analysis needs two rows with a response, and better more"
         raise InputError(Fault(f"response {response!r}", rule, mend))
     faults, levels, codes = [], {}, {}
-    for name, (code, labels) in coded.items():
-        every = _level_order(table[name], labels)
-        present = {labels[i] for i in np.unique(code[keep])}
+    for name, (code, every) in coded.items():
+        present = {every[i] for i in np.unique(code[keep])}
         warnings += _alike(every, name)
         order = [level for level in every if level in present]
         if lost := [level for level in every if level not in present]:
@@ -92,7 +91,7 @@ def prepare(
             faults.append(Fault(f"{kind} {name!r}", rule, mend))
         index = {level: i for i, level in enumerate(order)}
         levels[name] = tuple(order)
-        codes[name] = np.array([index.get(label, -1) for label in labels])[code[keep]]
+        codes[name] = np.array([index.get(label, -1) for label in every])[code[keep]]
     if faults:
         raise InputError(faults)
     layout, rows = CellLayout(levels, codes), np.flatnonzero(keep)
@@ -190,7 +189,10 @@ def _dates(levels: Sequence[str]) -> list[list[str]]:
 
 
 def _labels(column: pd.Series, name: str) -> tuple[Ints, list[str]]:
-    """Index of the label of every row, and the labels in the order in which they are met."""
+    """Index of the label of every row, and all labels in order.
+
+    That is the order of the categories, numeric where all are numbers, else as met.
+    """
     import pandas as pd
 
     if column.isna().any():
@@ -208,20 +210,18 @@ def _labels(column: pd.Series, name: str) -> tuple[Ints, list[str]]:
             rule = f"the levels {first!r} and {value!r} look the same"
             raise InputError(Fault(f"column {name!r}", rule, "write both the same way"))
     labels = list(dict.fromkeys(texts))
-    return np.array([labels.index(text) for text in texts])[code], labels
+    if hasattr(column, "cat"):
+        labels = [label for label in map(_label, column.cat.categories) if label in labels]
+    elif all(map(NUMBER.fullmatch, labels)):
+        labels.sort(key=float)
+    index = {label: i for i, label in enumerate(labels)}
+    return np.array([index[text] for text in texts])[code], labels
 
 
 def _label(value: object) -> str:
     if isinstance(value, float | np.floating) and float(value).is_integer():
         return str(int(value))
     return str(value)
-
-
-def _level_order(column: pd.Series, labels: list[str]) -> list[str]:
-    """Order of the levels: of the categories, numeric where all are numbers, else as met."""
-    if hasattr(column, "cat"):
-        return [_label(c) for c in column.cat.categories if _label(c) in labels]
-    return sorted(labels, key=float) if all(map(NUMBER.fullmatch, labels)) else labels
 
 
 @dataclass(frozen=True)
