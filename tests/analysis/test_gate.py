@@ -1,6 +1,7 @@
 """What withdraws a claim: tables on which the printed analysis alone would claim too much."""
 
 import itertools
+import re
 
 import numpy as np
 import pandas as pd
@@ -10,11 +11,15 @@ from scipy.stats import t as student
 
 from study.api import contrasts
 from study.ground.errors import RefusedError
+from study.reporting.content.report_facts import facts
+from study.reporting.content.sentences import verdicts_of
+from study.reporting.output.analysis_page import analysis_data
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.data import prepare, refuse_copied_rows
 from study.statistics.analysis.equal_variance import own_variances, variances_beside_blocks
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
+from study.statistics.analysis.mixed_model import mixed_model
 from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.statistics.analysis.sums_of_squares import factor
 
@@ -404,6 +409,16 @@ def test_a_unit_in_several_cells_is_a_block():
     assert any("--block subject" in note for note in unit.notes)
 
 
+@pytest.mark.parametrize(("letter", "told"), [("S", True), ("", False)])
+def test_a_unit_with_a_name_of_its_own_in_every_cell_may_be_one_and_the_same(letter, told):
+    """Subjects at each of three temperatures, or samples that are numbered anew at each."""
+    table = crossed(subject=6, a=3, k=2)
+    table["y"] = np.random.default_rng(2).normal(0, 1, len(table))
+    table["subject"] = letter + table["subject"].astype(str)
+    notes = analyzed(table, ["a"], unit="subject").notes
+    assert any("--block subject compares the cells within it" in note for note in notes) == told
+
+
 def test_means_of_a_split_plot_have_intervals():
     """Of a whole plot's level: the scatter of whole plots; of the others: of both strata."""
     table = sessions()
@@ -659,7 +674,40 @@ def test_a_treatment_that_acts_on_in_a_crossover_is_no_effect_of_the_treatments(
     table["y"] -= 3.0 * ((table["period"] == 1) & (table["treat"] == "B"))
     clean = table.assign(y=table["y"] + 2.0 * (table["treat"] == "B"))
     clean = analyzed(clean, ["treat"], block=["subject", "period"], practical=0.8)
-    assert clean.effect("treat").verdict == MATTERS
+    treat = clean.effect("treat")
+    # twelve subjects hardly tell whether a treatment acts on, so the claim names what it rests on
+    condition = "if no treat acts on in the next period"
+    assert (treat.verdict, treat.condition) == (MATTERS, condition)
+    assert condition in treat.to_json()["why"]
+    (named,) = contrasts(clean, "treat=B - treat=A")
+    assert (named.verdict, named.why) == (MATTERS, condition)
+    assert any(condition in note and "F(1, 10)" in note for note in clean.notes)
+    data = analysis_data(clean)
+    assert condition in verdicts_of(data, facts(data)[0])
+
+
+@pytest.mark.parametrize(("apart", "conditional"), [(1.5, True), (0.0, False)])
+def test_a_covariate_with_errors_leaves_a_part_of_itself_in_levels_that_differ_in_it(
+    apart, conditional
+):
+    """What is left of 2 times 1.5 at a reliability of .7 is 0.9 of a difference of 1."""
+    random, code = np.random.default_rng(3), np.repeat([0, 1], 15)
+    x = np.tile(random.normal(0, 1, 15), 2) + apart * code
+    table = pd.DataFrame({"a": code, "x": x, "y": 2 * x + 3 * code + random.normal(0, 0.3, 30)})
+    found = mixed_model(table, "y", ["a"], covariates=["x"], practical=1.0)
+    assert found.effects[0].verdict == MATTERS
+    assert found.effects[0].condition == "if x is measured without error" * conditional
+
+
+def test_a_drift_over_the_rows_is_named_with_what_it_explains():
+    """Levels were run one after the other while the response drifted by 0.1 a run."""
+    random = np.random.default_rng(5)
+    table = pd.DataFrame({"a": np.repeat([0, 1], 10), "y": random.normal(0, 0.1, 20)})
+    assert not any("drifts" in note for note in analyzed(table, "a").notes)
+    table["y"] += 0.1 * np.arange(20)
+    (note,) = (note for note in analyzed(table, "a").notes if "drifts" in note)
+    explained, difference = map(float, re.search(r"be (\S+) of (\S+) \(a\)", note).groups())
+    assert (explained, difference) == pytest.approx((1.0, 1.0), abs=0.15)
 
 
 @pytest.mark.parametrize(("name", "refused"), [("batch", True), ("Lot no", True), ("heat", False)])

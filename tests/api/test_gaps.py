@@ -43,6 +43,10 @@ def quadratic_ogden(levels, _):
     return levels["material"] == "ogden-1" and levels["model.element_order"] == "quadratic"
 
 
+def ogden_3d(levels):
+    return levels["material"] == "ogden-1" and levels["model.space"] == "3d"
+
+
 def quadratic_3d(levels, _):
     return levels["model.space"] == "3d" and levels["model.element_order"] == "quadratic"
 
@@ -56,7 +60,9 @@ def quadratic_3d(levels, _):
         # a cell counts that most specimens answer
         (lambda levels, block: levels["material"] == "ogden-1" and block < 1, 2, []),
         (lambda levels, block: levels["material"] == "ogden-1" and block < 2, 2, ["0 of 12"]),
-        (quadratic_ogden, 2, ["6 of 12"]),
+        # half of its cells are compared with those of its siblings
+        (quadratic_ogden, 2, []),
+        (lambda levels, _: quadratic_ogden(levels, 0) or ogden_3d(levels), 2, ["3 of 12"]),
     ],
 )
 def test_a_level_that_leaves_a_combination_empty_goes(design, lost, model, notes):
@@ -88,6 +94,19 @@ def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path):
     assert "c (gel) has an answer in 0 of 2 cells: it is left out of this analysis" in found.notes
     assert found.effects == reported.effects
     assert found.effect("gel").range == pytest.approx(1.0)
+
+
+def test_a_level_of_which_half_the_cells_failed_is_compared_where_it_has_answers(tmp_path):
+    """It lies 0.3 above its siblings at the order at which it has answers; 0.2 matters."""
+    cells = product(("axi", "flat", "full"), ("lin", "quad"), ("fine", "coarse"))
+    lines = [
+        f"{s},{o},{m},{'' if (s, o) == ('full', 'quad') else 10 + 0.3 * (s == 'full')}"
+        for s, o, m in cells
+    ]
+    study = imported(tmp_path, "space,order,mesh,y", lines, "space,order,mesh", practical="y=.2 N")
+    effect = study.analyses[0].result.effect("space")
+    assert (effect.verdict, set(effect.levels)) == ("matters", {"axi", "flat", "full"})
+    assert effect.range == pytest.approx(0.3)
 
 
 @pytest.mark.usefixtures("undrawn")

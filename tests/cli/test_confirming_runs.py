@@ -453,3 +453,27 @@ def test_good_cases_are_judged_and_no_sound_level_is_left_out(inside):
     (analysis,) = matrix.analyses
     assert analysis.result.data.y.size == 18
     assert not [note for note in analysis.result.notes if "degrees of freedom are" in note]
+
+
+def test_extremes_that_a_confirming_run_has_moved_are_run_too(tmp_path):
+    """The range of z, .96 along 2 (z - .7)^2 - z / 40, is told by the runs for x alone."""
+    design = {
+        "study": {"name": "moved"},
+        "parameters": {"x": 0.5, "z": 0.5, "kind": "fancy"},
+        "factors": {
+            "parameters.x": {"low": 0, "high": 1},
+            "parameters.z": {"low": 0, "high": 1},
+            "parameters.kind": ["fancy", "plain"],
+        },
+        "design": {"kind": "latin-hypercube", "runs": 14, "seed": 3},
+        "response": [{"name": "y", "unit": "N", "practical": "0.8 N"}],
+    }
+
+    def bowl(case):
+        x, z = case.parameters.x, case.parameters.z
+        plain = 1.5 * (case.parameters.kind == "plain")
+        return {"y": 1 + 4 * (x - 0.3) ** 2 + 2 * (z - 0.7) ** 2 + 0.5 * x * z + plain}
+
+    asked = {"version": "1", "confirm": True, "results": tmp_path, "reports": None}
+    found = public.run(design, forward=bowl, **asked)
+    assert {v["verdict"] for v in found.verdicts} == {"matters"}

@@ -167,7 +167,7 @@ def test_the_answer_names_levels_that_no_effect_covers(data):
     assert "Left out" not in " ".join(sentences.answer(data, found))
     name, levels = next(iter(data.factors.items()))
     more = replace(data, factors={**data.factors, name: (*levels, "ogden-9")})
-    why = "half of their cases or more failed, or every one on the finest mesh"
+    why = "more than half of their cases failed, or every one on the finest mesh"
     assert f"Left out, because {why}: ogden-9." in sentences.answer(more, found)[0]
     numbered = replace(data, factors={**data.factors, name: (*levels, "9")})
     assert f": {name} 9." in sentences.answer(numbered, found)[0]

@@ -583,6 +583,50 @@ name = "peak_force"
     assert best == pytest.approx({"a": 1.2, "b": 0.4}, rel=0.1)
 
 
+def test_a_product_that_a_curve_determines_is_that_of_the_powers_that_are_written(tmp_path):
+    """The force goes with c r^2: 0.0082 * 20.7^2 = 3.514; it was told as 3.47 within .7 %."""
+    strain = np.linspace(0.05, 0.5, 10)
+    shape = np.pi * ((1 - strain) ** -2 - (1 - strain))
+
+    def force(case):
+        p = case.parameters
+        return {
+            "displacement_mm": 20 * strain,
+            "force_N": p.c * p.r**2 * shape * (1 + p.a * strain),
+        }
+
+    text = """
+schema = 1
+[study]
+name = "product"
+[parameters]
+c = 0.007
+r = 20.0
+a = 0.2
+[factors]
+parameters.c = { low = 0.004, high = 0.012 }
+parameters.r = { low = 18.0, high = 22.0 }
+parameters.a = { low = 0.0, high = 0.6 }
+[design]
+kind = "latin-hypercube"
+runs = 30
+seed = 1
+[[response]]
+name = "peak_force"
+"""
+    found = run(text, tmp_path, force)
+    noisy = 0.0082 * 20.7**2 * shape * (1 + 0.35 * strain)
+    noisy += np.random.default_rng(0).normal(0, 0.1, strain.size)
+    measured = pd.DataFrame({"displacement_mm": 20 * strain, "force_N": noisy})
+    measured.to_csv(tmp_path / "m.csv", index=False)
+    answer = api.invert(found.folder, tmp_path / "m.csv", confirming=False)
+    (product,) = answer.combinations
+    assert product.words == "parameters.c * parameters.r^2"
+    assert abs(np.log(product.value / 3.5136)) < np.log(product.ratio) < 0.03
+    told = [member["parameters.c"] * member["parameters.r"] ** 2 for member in answer.members]
+    assert np.abs(np.log(np.array(told) / product.value)).max() <= np.log(product.ratio) + 1e-9
+
+
 @pytest.mark.parametrize(
     ("written", "into", "said"),
     [

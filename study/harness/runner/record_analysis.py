@@ -239,7 +239,7 @@ def without_gaps(
     model: Model,
     meshes: tuple[str | None, Sequence[str]] = (None, ()),
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Rows without the levels of which half of the cells or more have no answer.
+    """Rows without the levels of which more than half of the cells have no answer.
 
     Such a level would leave all its siblings with few settings at which they can be compared. It
     is left out, and that is said. So is a level (an energy that is stretched beyond its
@@ -288,7 +288,7 @@ def _worst(
                     cells = [cell for cell in designed if cell[factor_index] == level]
                     on_finest = [cell for cell in cells if fine and cell[fine[0]] == fine[1]]
                     share = sum(cell in answered for cell in cells) / len(cells)
-                    if share <= 0.5 or (on_finest and answered.isdisjoint(on_finest)):
+                    if share < 0.5 or (on_finest and answered.isdisjoint(on_finest)):
                         shares[factor_index, level] = 1 - share
     return max(sorted(shares), key=lambda key: shares[key], default=None)
 

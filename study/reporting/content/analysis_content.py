@@ -433,8 +433,8 @@ def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
     yield replace(means(item, data), grouped=False)
     yield replace(tables.verdicts((item,), data), name="Effects", grouped=False)
     # without a threshold nothing can be told, which is said once for all
-    refused = (e for e in item.effects if e.verdict in REFUSALS and e.practical is not None)
-    reasons = gathered((f"{e.verdict} ({e.why})", e.term) for e in refused)
+    explained = (e for e in item.effects if e.verdict in REFUSALS or e.condition)
+    reasons = gathered((f"{e.verdict} ({e.why})", e.term) for e in explained if e.practical)
     yield from (Verbatim(f"{', '.join(terms)}: {why}") for why, terms in reasons.items())
     # of every factor that interacts the largest simple effect, and that which decides its verdict
     telling = [(e, dict.fromkeys((e.largest_simple, e.deciding_simple))) for e in item.terms]

@@ -159,7 +159,7 @@ def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
         for lost in data.factors[effect.term]
         if lost not in effect.levels
     )
-    why = "half of their cases or more failed, or every one on the finest mesh"
+    why = "more than half of their cases failed, or every one on the finest mesh"
     return [f"Left out, because {why}: {listing(list(gone))}."] if gone else []
 
 
@@ -188,6 +188,7 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
             + " (where all its levels were measured)" * e.is_partial
             + (f" (not shown if {blocks_needed(e, facts)} is left out)" if e.lost_without else "")
             + f" ({_LIKE_THE_OTHERS})" * (e.term in facts.hang_on_missing)
+            + f" ({e.condition})" * bool(e.condition)
             for e in small
         ]
         choice = "that of" if parts else "the choice of"
@@ -221,6 +222,7 @@ def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
         shown += " between extremes"
     if effect.lost_without:
         shown += f"; not so if {blocks_needed(effect, facts)} is left out"
+    shown += f"; {effect.condition}" * bool(effect.condition)
     return shown + f"; {_LIKE_THE_OTHERS}" * (effect.term in facts.hang_on_missing)
 
 

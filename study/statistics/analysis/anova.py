@@ -182,6 +182,11 @@ def _of_units(table: pd.DataFrame, request: AnalysisRequest) -> tuple[AnalysisRe
         layout = replace(request.layout, block=(unit,), unit=None)
         note = f"every {unit} is measured in several cells: it is a block (--block {unit})"
         return replace(request, layout=layout), note
+    if unit is not None and (label := repeats.named_again(table, request, unit)):
+        return request, (
+            f"{unit} {label} stands in several cells, and is taken for another {unit} in each: "
+            f"where it is one and the same, --block {unit} compares the cells within it"
+        )
     if unit is not None or not _one_cell_a_block(table, request):
         return request, ""
     layout = replace(

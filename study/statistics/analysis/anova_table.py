@@ -184,6 +184,10 @@ class CompleteSettings:
     total: int
 
 
+#: between the reason of a claim and the condition that it rests on
+ON_CONDITION = "; only "
+
+
 @dataclass(frozen=True)
 class Effect:
     """Size of one term in response units (or as a ratio, for a log response).
@@ -239,6 +243,11 @@ class Effect:
             every = [{**plain(e), "verdict": None} for e in self.simple_effects]
             document["simple_effects"] = every
         return document
+
+    @property
+    def condition(self) -> str:
+        """What the claim assumes and the rows hardly tell; empty where there is nothing."""
+        return self.why.partition(ON_CONDITION)[2]
 
     @property
     def is_main(self) -> bool:

@@ -12,7 +12,6 @@ from itertools import combinations, compress, permutations, product
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from study.ground.arrays import Array, Ints, gathered
 from study.ground.errors import Fault, InputError, RefusedError, UnitError
@@ -23,10 +22,6 @@ from study.statistics.analysis.sums_of_squares import two_way
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-#: labels of levels, one a row
-Texts = NDArray[np.object_]
 
 
 @dataclass(frozen=True)
@@ -67,7 +62,7 @@ def prepare(
     factors, blocks = [str(name) for name in factors], names_of(block)
     _check_names("table", [str(c) for c in table.columns], response, factors, blocks)
     raw = _response(table, response)
-    labels = {n: _labels(table[n], n) for n in [*factors, *blocks]}
+    coded = {n: _labels(table[n], n) for n in [*factors, *blocks]}
     keep = np.isfinite(raw)
     missing, warnings = np.flatnonzero(~keep), []
     if missing.size:
@@ -79,8 +74,8 @@ def prepare(
         mend = "an analysis needs two rows with a response, and better more"
         raise InputError(Fault(f"response {response!r}", rule, mend))
     faults, levels, codes = [], {}, {}
-    for name, text in labels.items():
-        every, present = _level_order(table[name], text), set(text[keep])
+    for name, (code, every) in coded.items():
+        present = {every[i] for i in np.unique(code[keep])}
         warnings += _alike(every, name)
         order = [level for level in every if level in present]
         if lost := [level for level in every if level not in present]:
@@ -96,7 +91,7 @@ def prepare(
             faults.append(Fault(f"{kind} {name!r}", rule, mend))
         index = {level: i for i, level in enumerate(order)}
         levels[name] = tuple(order)
-        codes[name] = np.array([index[t] for t in text[keep]], dtype=np.int64)
+        codes[name] = np.array([index.get(label, -1) for label in every])[code[keep]]
     if faults:
         raise InputError(faults)
     layout, rows = CellLayout(levels, codes), np.flatnonzero(keep)
@@ -193,37 +188,40 @@ def _dates(levels: Sequence[str]) -> list[list[str]]:
     return groups
 
 
-def _labels(column: pd.Series, name: str) -> Texts:
+def _labels(column: pd.Series, name: str) -> tuple[Ints, list[str]]:
+    """Index of the label of every row, and all labels in order.
+
+    That is the order of the categories, numeric where all are numbers, else as met.
+    """
+    import pandas as pd
+
     if column.isna().any():
         row = int(np.flatnonzero(column.isna().to_numpy())[0]) + 1
         raise InputError(Fault(f"row {row}, column {name!r}", "the level is empty"))
     # 1, 1.0 and True are equal keys, so the type goes along
-    keys = [(type(value), value) for value in column.tolist()]
-    label = {key: _label(key[1]) for key in dict.fromkeys(keys)}
+    typed = [(type(value), value) for value in column] if column.dtype == object else column
+    code, keys = pd.factorize(pd.Series(typed))
+    values = [key[1] for key in keys] if column.dtype == object else list(keys)
+    texts = list(map(_label, values))
     seen: dict[str, object] = {}
-    for (_, value), text in label.items():
+    for value, text in zip(values, texts, strict=True):
         first = seen.setdefault(text.strip(), value)
         if isinstance(first, str) != isinstance(value, str) or _label(first) != text:
             rule = f"the levels {first!r} and {value!r} look the same"
             raise InputError(Fault(f"column {name!r}", rule, "write both the same way"))
-    return np.array([label[key] for key in keys], dtype=object)
+    labels = list(dict.fromkeys(texts))
+    if hasattr(column, "cat"):
+        labels = [label for label in map(_label, column.cat.categories) if label in labels]
+    elif all(map(NUMBER.fullmatch, labels)):
+        labels.sort(key=float)
+    index = {label: i for i, label in enumerate(labels)}
+    return np.array([index[text] for text in texts])[code], labels
 
 
 def _label(value: object) -> str:
     if isinstance(value, float | np.floating) and float(value).is_integer():
         return str(int(value))
     return str(value)
-
-
-def _level_order(column: pd.Series, labels: Texts) -> list[str]:
-    """Order of the levels: of the categories, numeric where all are numbers, else as met."""
-    if hasattr(column, "cat"):
-        present = set(labels)
-        return [_label(c) for c in column.cat.categories if _label(c) in present]
-    unique = list(dict.fromkeys(labels))
-    if all(NUMBER.fullmatch(label) for label in unique):
-        return sorted(unique, key=float)
-    return unique
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,13 @@ from itertools import combinations, product
 import numpy as np
 
 from study.ground.arrays import Array, Flags, Ints
-from study.statistics.analysis.anova_table import Comparison, CompleteSettings, Effect, SimpleEffect
+from study.statistics.analysis.anova_table import (
+    ON_CONDITION,
+    Comparison,
+    CompleteSettings,
+    Effect,
+    SimpleEffect,
+)
 from study.statistics.analysis.comparisons import (
     all_contrasts,
     block_multiplier,
@@ -434,6 +440,8 @@ class Rival:
     practical: float | None = None
     #: What a test of the printed analysis has shown, whether it asks for this one or not.
     note: str = ""
+    #: What claims assume that a test of too little power has not contradicted.
+    condition: str = ""
 
 
 def refusal(why: str) -> Rival:
@@ -462,6 +470,11 @@ class Gate:
         """What the tests behind the rivals have shown."""
         return tuple(rival.note for rival in self.rivals if rival.note)
 
+    @property
+    def condition(self) -> str:
+        """What claims assume and the rows hardly tell; empty where there is nothing of the kind."""
+        return " and ".join(rival.condition for rival in self.rivals if rival.condition)
+
     def judged(self, terms: Sequence[Term]) -> dict[str, SimpleEffects]:
         """Judge every factor of a model by its simple effects."""
         judged_factors, scale = {}, self.scale
@@ -478,7 +491,7 @@ class Gate:
                 limit = rival.practical or scale.practical
                 other = judged(rival.matrix or self.matrix, rival.sample, practical=limit)
                 printed = _agreed(printed, other, rival)
-            judged_factors[name] = printed
+            judged_factors[name] = replace(printed, condition=self.condition)
         return judged_factors
 
 
@@ -567,6 +580,8 @@ def size(
         listed, always = _listed(simple_effects, scale), simple_effects.always
         withdrawn = simple_effects.withdrawn
         effect = replace(effect, simple_effects=listed, always=always, withdrawn=withdrawn)
+        if verdict in CLAIMS and simple_effects.condition:
+            effect = replace(effect, why=f"{why}{ON_CONDITION}{simple_effects.condition}")
     if effect.is_main:
         return effect
     why = "an interaction is read from the simple effects of its factors"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -214,6 +214,12 @@ def model_matrix(
 ) -> ModelMatrix:
     """Build the model matrix (n, p) of an intercept, ``extra`` terms (blocks) and ``terms``."""
     order: list[Term] = [(), *extra, *terms]
+    if layout.n >= _MANY_ROWS:  # each combination once, and then the rows that hold it
+        names = list(dict.fromkeys(name for term in order for name in term))
+        _, first, index = np.unique(layout.cell(names), return_index=True, return_inverse=True)
+        if first.size < _MANY_ROWS:
+            each = model_matrix(layout.take(first), terms, extra=extra)
+            return replace(each, columns=each.columns[index], layout=layout)
     present = {frozenset(t) for t in order}
     parts = []
     for term in order:

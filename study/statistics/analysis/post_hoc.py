@@ -558,6 +558,11 @@ def _withdrawn(gate: Gate, contrasted: Sequence[_Sides], printed: list[Contrast]
         for i, (verdict, _) in enumerate(_verdicts(scale, contrasted, estimates)):
             if contrasts[i].verdict in rival.claims and contrasts[i].verdict != verdict:
                 contrasts[i] = replace(contrasts[i], verdict=CANNOT_TELL, why=rival.why)
+    if gate.condition:
+        for i, c in enumerate(contrasts):
+            if c.verdict in CLAIMS:
+                why = "; ".join(filter(None, (c.why, gate.condition)))
+                contrasts[i] = replace(c, why=why)
     return contrasts
 
 

@@ -64,6 +64,14 @@ def crosses(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> bool:
     return bool((levels == 1).all(axis=0).any() and (levels > 1).all(axis=0).any())
 
 
+def named_again(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> str:
+    """Name a unit with a name of its own, and no number, in several cells; empty without one."""
+    if unit not in table.columns or unit in (request.response, *request.factors):
+        return ""
+    cells = table[[unit, *request.factors]].drop_duplicates()[unit].astype(str).value_counts()
+    return next((label for label in cells.index[cells > 1] if not label.isdigit()), "")
+
+
 def compare_naive(
     table: pd.DataFrame, request: AnalysisRequest, unit: str, nested: Anova, naive: Anova
 ) -> NestedUnits | None:

@@ -244,6 +244,8 @@ class SimpleEffects:
     always: tuple[tuple[str, str], ...] = ()
     #: Reasons for which claims were withdrawn, of the factor or of one setting.
     withdrawn: tuple[str, ...] = ()
+    #: What a claim assumes and the rows hardly tell.
+    condition: str = ""
 
 
 def partners(factor: str, terms: Sequence[Term]) -> tuple[str, ...]:

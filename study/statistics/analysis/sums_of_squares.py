@@ -32,6 +32,7 @@ from study.statistics.analysis.linear_model import (
 
 if TYPE_CHECKING:
     from statsmodels.regression.linear_model import OLSResults
+    from statsmodels.stats.outliers_influence import OLSInfluence
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,11 @@ class Factored(Factorization):
     def residual(self) -> Array:
         """Residual in the units of the response, shape (n,)."""
         return np.asarray(self.ols.resid)
+
+    @cached_property
+    def of_rows(self) -> OLSInfluence:
+        """What single rows do to the fit, by statsmodels."""
+        return self.ols.get_influence()
 
     @property
     def fitted(self) -> Array:
@@ -505,9 +511,9 @@ def influence(fit: Factored | TwoWayFit) -> Influence:
     # a row of leverage one, or a saturated fit, has 0 / 0 here
     with np.errstate(divide="ignore", invalid="ignore"):
         if isinstance(fit, Factored):
-            rows = fit.ols.get_influence()
-            leverage, cook = rows.hat_matrix_diag, rows.cooks_distance[0]
-            return Influence(leverage, np.where(leverage < EXACT, cook, np.nan), rows.resid_press)
+            leverage, cook = fit.of_rows.hat_matrix_diag, fit.of_rows.cooks_distance[0]
+            cook = np.where(leverage < EXACT, cook, np.nan)
+            return Influence(leverage, cook, fit.of_rows.resid_press)
         left = 1 - fit.leverage
         variance = fit.rss / np.float64(fit.df_residual)
         cook = fit.residual**2 / variance * fit.leverage / left**2 / fit.rank

@@ -376,10 +376,8 @@ class FactorCombination(Keyed):
 
     @property
     def words(self) -> str:
-        """The product as it is written; powers that are next to nothing are left out."""
-        parts = [name if abs(e - 1.0) < 0.005 else f"{name}^{e:.3g}"
-                 for name, e in self.exponents.items() if abs(e) >= 0.01]  # fmt: skip
-        return " * ".join(parts)
+        """The product as it is written."""
+        return " * ".join(n if e == 1.0 else f"{n}^{e:g}" for n, e in self.exponents.items())
 
 
 @dataclass(frozen=True)
@@ -647,7 +645,9 @@ class NearestCurves:
     ) -> FactorCombination:
         counts = np.abs(direction) >= COUNTS * float(np.abs(direction).max())
         unit = direction[int(np.flatnonzero(counts)[0])]
-        powers = np.where(counts, direction / unit, 0.0)
+        # as they are written, three digits: 3.50 of C R^2 would be 3.47 of C R^1.997
+        powers = np.array([float(f"{e:.3g}") for e in np.where(counts, direction / unit, 0.0)])
+        powers[np.abs(powers - 1.0) < 0.005], powers[np.abs(powers) < 0.01] = 1.0, 0.0
         value = float(np.prod(settings**powers))
         names = (self.model.runs.names[j] for j in loose)
         exponents = {n: float(e) for n, e in zip(names, powers, strict=True) if e}
