@@ -570,10 +570,16 @@ def _read(raw: object) -> tuple[Value, str]:
     return _text(raw)
 
 
+#: words of models that begin with a number: 2D, 4-node, 3x3, 1st (2D is not two debye)
+_WORD_WITH_NUMBER = re.compile(r"\d+(?:D|st|nd|rd|th|[x-]\S.*)")
+
+
 @lru_cache(maxsize=4096)
 def _text(raw: str) -> tuple[Value, str]:
     """Value of a text, and the unit of a number: levels come again in many cells."""
     plain = text(raw)
+    if _WORD_WITH_NUMBER.fullmatch(plain):
+        return plain, ""
     if plain[:1].isdigit() or plain[:2].lstrip("+-.")[:1].isdigit():
         return number_and_unit(plain)
     return plain, ""

@@ -309,6 +309,20 @@ def test_words_of_other_languages_are_names_of_parameters(tmp_path, name):
     assert api.plan(tmp_path / "d.toml").cases["total"] == 4
 
 
+@pytest.mark.parametrize("other", ["3D", "axisymmetric"])
+def test_words_that_begin_with_a_number_are_texts(tmp_path, other):
+    """A space of "2D" is not two debye."""
+    text = HEAD.replace("[parameters]", '[parameters]\nspace = "2D"')
+    text += f'[factors]\nparameters.space = ["2D", "{other}"]\n'
+    spaces = []
+    run(
+        loads(text + RESPONSES),
+        tmp_path,
+        lambda c: spaces.append(c["parameters"]["space"]) or spring(c),
+    )
+    assert sorted(spaces) == sorted(["2D", other])
+
+
 def test_cells_that_break_a_constraint_are_left_out_with_the_reason():
     rule = '[[constraint]]\nrule = "damping * damping < 0.48 * stiffness"\nwhy = "damped enough"\n'
     design = loads(HEAD + rule + FACTORS + RESPONSES)
