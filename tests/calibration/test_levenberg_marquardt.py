@@ -217,3 +217,19 @@ def test_the_scatter_of_a_simulation_is_no_failure():
             simulated, [0.5, 0.2], ftol=1e-9, xtol=1e-9, gtol=1e-6, edge=1e-3
         )
         assert found.converged, found.message
+
+
+@pytest.mark.parametrize("bend", [0.6, 0.9])
+def test_a_large_residual_that_bends_costs_few_evaluations(bend):
+    # x = u + v is least at 0 for every bend below 1, and each Gauss-Newton step leaves the share
+    # ``bend`` of the way (Dennis and Schnabel 1983, example 10.2.4): 15 and 41 evaluations
+    def function(values):
+        u, v = values
+        x = u + v
+        residual = np.array([x + 1, bend * x**2 + x - 1, u - 2 * v - 3])
+        return residual, np.array([[1, 1], [2 * bend * x + 1, 2 * bend * x + 1], [1, -2]])
+
+    search = levenberg_marquardt(function, [1.3, -0.9], gtol=1e-4, edge=1e-3)
+    assert search.converged
+    assert search.x == pytest.approx([1.0, -1.0], abs=1e-3)
+    assert search.evaluations <= 9

@@ -5,8 +5,9 @@ import pytest
 
 from study.ground.curve import Curve
 from study.mechanics.calibration.fit import fit
-from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.mechanics.forward import finite_element
+from study.mechanics.solver.load_path import LoadPath
 from study.simulation import fit_task
 from study.simulation.calibration.calibration_bound import estimated_bound
 from study.simulation.cell import CellProblem
@@ -80,6 +81,18 @@ def test_recovery_from_three_times_off(energy, factors):
     assert model.solves <= 1.2 * len(found.history)
     # Ogden's exponent bends the valley: 14 from a third of it, where polynomials need 6
     assert model.solves <= (15 if energy[0] == "ogden" else 10)
+
+
+def test_a_fit_hears_at_once_where_the_energy_is_no_longer_elliptic(monkeypatch):
+    # from 3.6 mm on these constants are not elliptic: load steps from there lead nowhere
+    setting, places = config(RP3), np.linspace(0.3, 6.0, 20)
+    setting["test"]["displacement_mm"] = 6.0
+    names = CellProblem.of(setting).material.calibrated_names
+    model = fit_task.InverseFem(CellProblem.of(setting), [Curve(places, places)], names)
+    model(np.array([5e-3, -5.77e-5, 0.0]))
+    monkeypatch.delattr(LoadPath, "_attempt")
+    with pytest.raises(EvaluationFailed, match="no longer elliptic"):
+        model(np.array([5e-3, 4.4104e-4, -1.1251e-3]))
 
 
 @pytest.mark.parametrize("energy", [MOONEY_RIVLIN, RP2], ids=lambda energy: energy[0])

@@ -6,6 +6,8 @@ grows or shrinks the region by how well the linear model foretold the decrease. 
 scaled by the running maximum of their norms (More 1978, eq. 6.1), which makes every result
 independent of the parameters' units. Convergence is judged by the full Gauss-Newton step
 (Bates and Watts 1981), not by the damped one, which also gets small where nothing converges.
+Where each evaluation is a simulation, the curvature of the residual is learned from accepted
+steps and added to the linear model (Dennis, Gay and Welsch 1981).
 """
 
 from __future__ import annotations
@@ -112,6 +114,26 @@ def damped_step(linear: Linearization, radius: float) -> tuple[Array, float]:
     return steepness * scaled / linear.scale, damping
 
 
+def newton_step(tangent: Array, slope: Array, radius: float) -> tuple[Array, float]:
+    """Step of length at most 1.1 ``radius`` to the least value of a quadratic, and its damping.
+
+    Shapes: tangent (p, p), symmetric; slope (p,); returns (p,).
+    """
+    values, axes = np.linalg.eigh(tangent)
+    along = axes.T @ slope
+    low = max(0.0, -float(values[0])) * (1 + 1e-9)
+    high = low + length_of(along) / radius
+    damping = 0.0
+    if values[0] <= 0 or length_of(along / values) > 1.1 * radius:
+        for _ in range(60):
+            damping = 0.5 * (low + high)
+            length = length_of(along / (values + damping))
+            if abs(length - radius) <= 0.1 * radius:
+                break
+            low, high = (damping, high) if length > radius else (low, damping)
+    return -axes @ (along / (values + damping)), damping
+
+
 # A least-squares search, and what can be read from it: convergence, edges, limits.
 
 EPS = float(np.finfo(float).eps)
@@ -120,7 +142,9 @@ FIRST_RADIUS = 1.0
 #: scaled distance, relative to the parameters, at which a failed evaluation counts as next door
 NEXT_DOOR = 0.01
 #: accepted steps over which a search that creeps along failures is judged
-CRAWL = 5
+CRAWL = 3
+#: share of the residual that parameters explain, above which its curvature does not matter yet
+EXPLAINED = 0.5
 #: growth of a parameter over its start that counts as running to infinity
 FAR = 1e8
 #: share of the full Gauss-Newton step, and scaled length relative to the parameters, within
@@ -222,6 +246,9 @@ class LeastSquaresSearch:
         #: Largest absolute value of each parameter so far, and largest norm of each column of the
         #: Jacobian, zero where there was no influence; both of shape (p,).
         self.reach, self.peak = np.abs(start), np.zeros(start.size)
+        #: Residuals times their second derivatives, summed, shape (p, p), as steps show them, and
+        #: whether they would have foretold the last decrease better than the linear model alone.
+        self.curvature, self.bends = np.zeros((start.size, start.size)), False
         #: Of the trust region, in the unit of the residual; Levenberg's parameter of the last step.
         self.radius = self.damping = 0.0
         #: Largest rank of the Jacobian so far, calls of the function.
@@ -274,7 +301,7 @@ class LeastSquaresSearch:
             )  # fmt: skip
             self.failures.append(len(self.failed))
             status = self._converged_at(linear)
-            if status is None and self._is_crawling():
+            if status is None and self._is_crawling() and not self._is_near_enough(linear):
                 status = Status.at_edge
             if status is None and callback is not None and callback(self.history[-1]):
                 status = Status.stopped
@@ -289,18 +316,66 @@ class LeastSquaresSearch:
 
     def _accept(self, x: Array, residual: Array, jacobian: Array) -> None:
         """Move to a better point."""
+        if self.edge > 0 and self.residual.size:
+            self._bend(x - self.x, residual, jacobian)
         self.x, self.residual, self.jacobian = x, residual, jacobian
         self.peak = np.maximum(self.peak, np.linalg.norm(jacobian, axis=0))
         self.reach = np.maximum(self.reach, np.abs(x))
 
-    def _gain(self, step: Array, evaluated: tuple[Array, Array] | None) -> float:
+    def _bend(self, step: Array, residual: Array, jacobian: Array) -> None:
+        """Correct the curvature of the residual by what an accepted step shows of it.
+
+        The update of least change, sized by what remains of the curvature (Dennis, Gay and Welsch
+        1981, ACM Trans. Math. Softw. 7, 348).
+        """
+        actual, straight = self._decrease(residual), self._foretold(step)
+        before = float(step @ self.curvature @ step)
+        self.bends = abs(straight - before - actual) < abs(straight - actual)
+        gradient = jacobian.T @ residual - self.jacobian.T @ self.residual
+        bent, along = (jacobian - self.jacobian).T @ residual, float(gradient @ step)
+        self.curvature *= min(1.0, abs(float(step @ bent) / before)) if before else 1.0
+        if along > 0:
+            missed = bent - self.curvature @ step
+            self.curvature += (np.outer(missed, gradient) + np.outer(gradient, missed)) / along
+            self.curvature -= float(missed @ step) / along**2 * np.outer(gradient, gradient)
+
+    def _newton_step(self, radius: float) -> tuple[Array, float, float] | None:
+        """Newton's step within a radius, its damping, and the decrease that it foretells.
+
+        None while the linear model foretells as well, or at a bound.
+        """
+        if not self.bends or self.at_bound.any():
+            return None
+        slope = self.jacobian.T @ self.residual / self.scale
+        tangent = self.jacobian.T @ self.jacobian + self.curvature
+        tangent = tangent / np.outer(self.scale, self.scale)
+        scaled, damping = newton_step(tangent, slope, radius)
+        return scaled / self.scale, damping, -float((2 * slope + tangent @ scaled) @ scaled)
+
+    def _proposed(self, linear: Linearization) -> tuple[Array, float, float]:
+        """Step within the region, its damping, and the decrease that it foretells.
+
+        It is Newton's once steps have shown how the residual bends: where what is left of it is
+        large, the steps of Gauss and Newton shrink by a constant factor.
+        """
+        newton = self._newton_step(self.radius) if linear.offset < EXPLAINED else None
+        if newton is not None:
+            there = self.x + newton[0]
+            if np.all((self.low <= there) & (there <= self.high)):
+                return newton
+        step, damping = self._bounded_step(linear)
+        return step, damping, self._foretold(step)
+
+    def _gain(self, foretold: float, evaluated: tuple[Array, Array] | None) -> float:
         """Actual over foretold decrease of the sum of squares."""
         if evaluated is None:
             return -np.inf
-        foretold, new = self._foretold(step), evaluated[0]
+        return self._decrease(evaluated[0]) / foretold if foretold > 0 else -np.inf
+
+    def _decrease(self, residual: Array) -> float:
+        """Decrease of the sum of squares to that of another residual (n,)."""
         # (r - s)(r + s) keeps the digits that the difference of two sums of squares loses
-        actual = float((self.residual - new) @ (self.residual + new))
-        return actual / foretold if foretold > 0 else -np.inf
+        return float((self.residual - residual) @ (self.residual + residual))
 
     def _foretold(self, step: Array) -> float:
         """Decrease of the sum of squares in the linear model."""
@@ -335,11 +410,16 @@ class LeastSquaresSearch:
         # a residual is a difference of a few terms, each with a rounding of its own
         if length <= 4 * EPS * influence or length == 0:
             return Status.converged_zero
-        if linear.offset <= self.gtol:
+        if linear.offset <= self.gtol and self._is_flat(length):
             return Status.converged_gradient
         if linear.full_length <= self.xtol * self._length(self.at_bound):
             return Status.converged_step
         return None
+
+    def _is_flat(self, length: float) -> bool:
+        """Whether Newton's step lowers the sum of squares by no more than the offset allows."""
+        newton = self._newton_step(length)
+        return newton is None or newton[1] > 0 or newton[2] <= (self.gtol * length) ** 2
 
     def _trusted(self, status: Status, linear: Linearization) -> Status:
         """No success where a parameter, or a combination, lost the influence it once had."""
@@ -358,7 +438,7 @@ class LeastSquaresSearch:
         """Try steps in a shrinking region until one lowers the cost; the reason if none does."""
         answered = False
         while self.evaluations < self.max_evaluations:
-            step, damping = self._bounded_step(linear)
+            step, damping, foretold = self._proposed(linear)
             trial = np.clip(self.x + step, self.low, self.high)
             length = length_of(self.scale * step)
             norms = np.linalg.norm(self.jacobian, axis=0)
@@ -369,7 +449,7 @@ class LeastSquaresSearch:
             answered = answered or evaluated is not None
             if evaluated is None:
                 self.failed.append(trial)
-            gain = self._gain(step, evaluated)
+            gain = self._gain(foretold, evaluated)
             self.radius = updated_radius(self.radius, length, gain, damping)
             self.damping = damping
             if evaluated is not None and gain > ACCEPTED:
@@ -440,7 +520,8 @@ class LeastSquaresSearch:
         for share in SHARES:
             trial = np.clip(self.x + share * step, self.low, self.high)
             evaluated = self._evaluated(trial)
-            if evaluated is not None and self._gain(share * step, evaluated) > ACCEPTED:
+            gain = self._gain(self._foretold(share * step), evaluated)
+            if evaluated is not None and gain > ACCEPTED:
                 self.radius = float(np.linalg.norm(self.scale * share * step))
                 self._accept(trial, *evaluated)
                 return True

@@ -438,6 +438,8 @@ class LoadPath:
         if result is not None:
             spent += result.iterations
             self._accept(result)
+        elif self._follows and not self.options.snaps and self._lost():
+            return None, spent  # a fit that hears so soon asks nearer, which costs less than a path
         while result is None or not self._at(target):
             remaining = target - self.state.displacement_mm
             pieces = max(1, int(np.ceil(remaining / self.step_mm - 1e-9)))

@@ -9,6 +9,7 @@ from functools import partial
 from itertools import combinations, product
 
 import numpy as np
+import scipy.sparse
 
 from study.ground.arrays import Array, Flags, Ints
 from study.statistics.analysis.anova_table import (
@@ -274,7 +275,8 @@ def cell_welch(
         cell if rows_alike is None else rows_alike, return_index=True, return_counts=True
     )
     variance = np.maximum(variances[0], reading**2)
-    member = np.eye(len(variance))[cell[first]]
+    groups = (np.ones(first.size), (np.arange(first.size), cell[first]))
+    member = scipy.sparse.csr_array(groups, shape=(first.size, variance.size))
 
     def shares(along: Array) -> Array:
         weight = along @ fit.q[first].T
