@@ -21,6 +21,7 @@ from study.mechanics.setup.test_kind import (
 from study.mechanics.solver.equilibrium import (
     Equilibria,
     Instability,
+    are_factors_of_step,
     contact_figures,
     has_inertia_of_factors,
     is_unstable,
@@ -275,7 +276,9 @@ class LoadPath:
                 return True
             count = surplus(self.system) or 0  # of a few elements: one more may be of the body
         self._local_surplus = count
-        if self._at(self._whole_mm) and has_inertia_of_factors(self.system):
+        before = self.steps[-1].state if self.steps else self.rest or self.system.start()
+        is_near = are_factors_of_step(self.system, self.state, before)
+        if is_near or (self._at(self._whole_mm) and has_inertia_of_factors(self.system)):
             self._known_to_stand = self.state.displacement_mm
         return False
 
