@@ -339,7 +339,7 @@ def test_a_mode_that_has_yet_to_converge_is_none_of_the_whole_body():
 
 
 def test_factors_of_the_last_newton_iterate_are_asked_for_nothing_more(monkeypatch):
-    """Small and plane meshes factorize every tangent: a random load was 1 to 2 % of such a solve."""
+    """Plane meshes factorize every tangent: a random load was 1 to 2 % of such a solve."""
     asked = list[str]()
 
     def spy(system):

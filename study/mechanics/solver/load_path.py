@@ -147,9 +147,9 @@ _INSIDE = 0.1
 #: most (bonded discs of two energies at 20 to 50 %)
 _UNEVEN = 0.08
 
-#: energy of uneven volumes over that stored above which an indenter meets elements that lock: .073 to
-#: .15 where linear tetrahedra in layers of 1.7 to 2.6 elements were 24 to 210 % too stiff, at most
-#: .06 where coarse linear elements were up to 15 % off, .023 in quadratic ones
+#: energy of uneven volumes over that stored above which an indenter meets elements that lock:
+#: .07 to .15 where linear tetrahedra in layers of 1.7 to 2.6 elements were 24 to 210 % too stiff,
+#: at most .06 where coarse linear elements were up to 15 % off, .023 in quadratic ones
 _LOCKED = 0.06
 
 #: share of the energy lost in snaps above which it is no event of the surface alone
