@@ -59,6 +59,9 @@ _LANCZOS_TOLERANCE = 1e-4
 #: motions, which have none
 _ROUNDING = 1e-10
 
+#: share of a load step by which the state of factors may differ from the one that they judge
+_NEAR = 1e-3
+
 #: share of a random load's displacements down to which factors at hand correct them, and most
 #: corrections for that; the softest motions, of which one is the first to give way, have most of
 #: these displacements
@@ -113,7 +116,8 @@ def is_unstable(system: System, state: State) -> bool:
     if system.tangent.state is not state:
         system.assemble(state)
     try:
-        system.factorize()
+        if system.factors.state is not state:
+            system.factorize()
     except SingularMatrixError:
         return True
     if surplus(system) == 0 and (system.solver.unperturbed() or has_inertia_of_factors(system)):
@@ -172,6 +176,22 @@ def least_stiffness(system: System) -> tuple[float, Array]:
 
     negative = [of(int(k)) for k in (settled if settled.size else below)]
     return max(negative, key=lambda candidate: volume_share(system, candidate[1]), default=of(-1))
+
+
+def are_factors_of_step(system: System, state: State, before: State) -> bool:
+    """Whether the factors at hand tell at which of two steps stability is lost, as they are.
+
+    So it is where they are of the last iterates before a state, closer to it than a small share of
+    the load step ``before`` it: of no earlier contact, and without perturbed pivots.
+    """
+    factored = system.factors.state
+    if not isinstance(factored, State) or factored.displacement_mm != state.displacement_mm:
+        return False
+    if not (system.factors.serves(system.latest.touching) and system.solver.unperturbed()):
+        return False
+    moved = slice(0, system.space.n_displacement)
+    off, step = (np.linalg.norm(state.x[moved] - s.x[moved]) for s in (factored, before))
+    return bool(off <= _NEAR * step)
 
 
 def has_inertia_of_factors(system: System) -> bool:

@@ -6,6 +6,7 @@ sees vectors of unknowns and the sum of the tangents.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -198,17 +199,19 @@ class Internal:
             smallest(self.phases, lambda e: float(assembly.volume_ratios(e, shapes, x, J)))
         return J
 
-    def uneven_volume(self, material: Material, x: Array) -> float:
-        """Volume ratio that pressures do not explain, J - 1 - p / K, root mean square.
+    def uneven_volume(self, material: Material, x: Array) -> tuple[float, float]:
+        """Volume ratio that pressures do not explain, J - 1 - p / K, and its energy, N mm.
 
-        It vanishes in the limit of small elements: within one that is too large for the deformation
-        only its mean is held. Nothing without pressures, nor at small strain.
+        The first is the root mean square, the second the integral of its square times the shear
+        modulus. Both vanish in the limit of small elements: within one that is too large for the
+        deformation only its mean is held. Nothing without pressures, nor at small strain.
         """
         if material.small_strain or not self._mixed:
-            return 0.0
+            return 0.0, 0.0
         explained = self.split(material).compliance * self.space.pressures(x)
-        off = self.volume_ratios(material, x) - 1 - explained
-        return float(np.sqrt(np.average(off**2, weights=self.space.weights)))
+        square = (self.volume_ratios(material, x) - 1 - explained) ** 2
+        mean = float(np.average(square, weights=self.space.weights))
+        return math.sqrt(mean), material.mu0 * mean * float(self.space.weights.sum())
 
     def constant_derivative(self, material: Material, x: Array, name: str) -> Array:
         """dR/dconstant at fixed unknowns, shape (n,), K(nu) included; tangents are kept."""

@@ -429,15 +429,18 @@ class KeptFactors:
         self.solver, self._pattern = solver, pattern
         self._spent: list[int] = []
         self._touching: Flags | None = None
+        #: State of the tangent that was factorized; None where it is not known.
+        self.state: object = None
         self._change = self._sensitivity = 0.0
 
-    def renewed(self, touching: Flags) -> None:
-        """Say that the solver has just factorized, with these contact points closed."""
+    def renewed(self, touching: Flags, state: object = None) -> None:
+        """Say that the solver has just factorized a state, with these contact points closed."""
         self._spent, self._touching, self._change = [], touching, 0.0
+        self.state = state
 
     def forget(self) -> None:
         """Factorize first: what another run left behind must not change a digit of this one."""
-        self._touching, self._sensitivity = None, 0.0
+        self._touching, self.state, self._sensitivity = None, None, 0.0
         self.solver.forget()
 
     def serves(self, touching: Flags) -> bool:

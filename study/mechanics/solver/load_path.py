@@ -21,6 +21,7 @@ from study.mechanics.setup.test_kind import (
 from study.mechanics.solver.equilibrium import (
     Equilibria,
     Instability,
+    are_factors_of_step,
     contact_figures,
     has_inertia_of_factors,
     is_unstable,
@@ -145,6 +146,11 @@ _INSIDE = 0.1
 #: deformation: linear simplices with .08 to .15 were 2 to 18 % too stiff, fine meshes have .05 at
 #: most (bonded discs of two energies at 20 to 50 %)
 _UNEVEN = 0.08
+
+#: energy of uneven volumes over that stored above which an indenter meets elements that lock:
+#: .07 to .15 where linear tetrahedra in layers of 1.7 to 2.6 elements were 24 to 210 % too stiff,
+#: at most .06 where coarse linear elements were up to 15 % off, .023 in quadratic ones
+_LOCKED = 0.06
 
 #: share of the energy lost in snaps above which it is no event of the surface alone
 _MUCH_LOST = 0.05
@@ -275,7 +281,9 @@ class LoadPath:
                 return True
             count = surplus(self.system) or 0  # of a few elements: one more may be of the body
         self._local_surplus = count
-        if self._at(self._whole_mm) and has_inertia_of_factors(self.system):
+        before = self.steps[-1].state if self.steps else self.rest or self.system.start()
+        is_near = are_factors_of_step(self.system, self.state, before)
+        if is_near or (self._at(self._whole_mm) and has_inertia_of_factors(self.system)):
             self._known_to_stand = self.state.displacement_mm
         return False
 
@@ -766,17 +774,38 @@ class LoadPath:
 
     def _too_coarse(self) -> Iterator[str]:
         """Say that the elements are too large for the deformation, or for what is touched."""
-        model = self.problem.model
-        uneven = self.system.internal.uneven_volume(self.system.material, self.state.x)
+        model, internal, material = self.problem.model, self.system.internal, self.system.material
+        uneven, _ = internal.uneven_volume(material, self.state.x)
+        other = "" if model.element_order == "quadratic" else ", or quadratic elements"
+        locked, at_mm = self._locked()
         if uneven > _UNEVEN:
-            other = "" if model.element_order == "quadratic" else ", or quadratic elements"
             yield (
                 f"volumes within the elements are off by {100 * uneven:.2g} % (root mean square): "
                 "the mesh is too coarse for this deformation, and the force too high by a few "
                 f"percent or more; use a smaller mesh_size{other}"
             )
+        elif locked > _LOCKED:
+            yield (
+                f"uneven volumes within the elements stand for {100 * locked:.2g} % of the energy "
+                f"at {at_mm:.3g} mm: the mesh is too coarse for what is pressed in, and the force "
+                f"too high by a tenth or far more; use a smaller mesh_size{other}"
+            )
         if contact := unresolved_contact(self.problem.test, model.mesh_size_mm):
             yield contact
+
+    def _locked(self) -> tuple[float, float]:
+        """Largest share of the energy in uneven volumes under an indenter, and where that is.
+
+        Of the second half of the way: a first contact is one of a few points. Further on, a force
+        that is far too high makes the share small again.
+        """
+        system, shares = self.system, [(0.0, 0.0)]
+        for step in self.steps if self.problem.setup.kind.strains_locally else []:
+            energy, place_mm = step.stored.material, step.state.displacement_mm
+            if energy > 0 and place_mm >= 0.5 * self._whole_mm:
+                _, uneven = system.internal.uneven_volume(system.material, step.state.x)
+                shares.append((system.force_scale * uneven / energy, place_mm))
+        return max(shares)
 
     def _apart(self) -> str:
         """Say where what moves has lost the specimen, or never met it; empty where it has not.

@@ -307,7 +307,7 @@ class System:
             self.solver.sharpen()
         self.solver.weigh(self._weights())
         self.solver.factorize(self.data)
-        self.factors.renewed(self.latest.touching)
+        self.factors.renewed(self.latest.touching, self.tangent.state)
         self._count("factorization", began)
 
     def _weights(self) -> Array | None:

@@ -29,7 +29,7 @@ from study.simulation.fit_task import InverseFem
 from study.simulation.problem_file import CalibrationDesign
 from study.simulation.response import in_shown_units
 from study.simulation.staged_fit import FitPart, Predict, Progress, StagedSearch, single_stage
-from study.statistics.convergence.grid_convergence import grid_convergence
+from study.statistics.convergence.grid_convergence import grid_convergence, series_bounds
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -137,12 +137,6 @@ def numerical_bound(
     return ConstantBound(names, mesh, steps, sizes, series)
 
 
-#: order that is assumed where the elements promise none
-_LOWEST_ORDER = 1.0
-#: factor of safety of two meshes, whose order is assumed (Roache 1994)
-_SAFETY = 3.0
-
-
 def estimated_bound(
     fit: Fit, parts: Sequence[FitPart], models: Sequence[Predict]
 ) -> ConstantBound | None:
@@ -164,13 +158,16 @@ def estimated_bound(
                 errors.append((zeros, zeros, zeros))
                 continue
             here, size = _force(model, part, constants), model.mesh_size_mm or 0.0
-            order = _order(part, names, constants) or _LOWEST_ORDER
+            order = _order(part, names, constants)
             coarse = replace(part, problem=part.problem.on_mesh(mesh_size_mm=_RATIO * size))
             chosen_here, coarser, finer = (
                 _force(fit_task.models_of([other], names)[0], part, constants)
                 for other in (part, coarse, _with_more_steps(part))
             )
-            by_mesh = _SAFETY / (_RATIO**order - 1) * (coarser - chosen_here)
+            pair = np.stack([chosen_here, coarser], axis=-1)
+            by_mesh = np.copysign(
+                series_bounds((1.0, _RATIO), pair, order).u, coarser - chosen_here
+            )
             errors.append((by_mesh, chosen_here - here, finer - here))
     except (EvaluationFailed, InputError) as error:
         why = f"a coarser mesh, or more load steps, has no answer ({error})"
