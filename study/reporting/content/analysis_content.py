@@ -294,7 +294,11 @@ def against_reference(factor: str, comparisons: Comparisons, data: ReportData) -
     )
 
 
-def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Table | None:
+def checks(
+    analysis: AnalysisResult,
+    name: str = "tests of assumptions",
+    labels: Mapping[str, str] | None = None,
+) -> Table | None:
     """Statistic and p of every test of an assumption that ran."""
     tests = analysis.assumptions
     rows: list[tuple[str, str, float | None, str, str]] = []
@@ -317,7 +321,8 @@ def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Tabl
         rows.append(("additivity", "Tukey, one df", tukey.f, p_value(tukey.p), ""))
     for term, sphere in tests.sphericity.items():
         if sphere.p is not None:
-            rows.append(("sphericity", f"Mauchly, {clean(term)}", sphere.w, p_value(sphere.p), ""))
+            mauchly = f"Mauchly, {term_name(term, labels)}"
+            rows.append(("sphericity", mauchly, sphere.w, p_value(sphere.p), ""))
     if not rows:
         return None
     columns = ("assumption", "test", "statistic", "p", "p simulated")

@@ -335,10 +335,8 @@ def error_term(facts: Facts, data: ReportData) -> str:
     return re.sub(r"levels of block|blocks?\b", lambda m: block if m[0] == "block" else many, text)
 
 
-_BY_TERM = (
-    'U bounds the mesh error of the difference (how: docs/verdicts.md, "Numerical error"). '
-    "For mesh density the difference is itself the mesh error, so no U is given."
-)
+_BY_TERM = 'U bounds the mesh error of the difference (how: docs/verdicts.md, "Numerical error").'
+_OF_MESH = " For mesh density the difference is itself the mesh error, so no U is given."
 _BY_COLUMN = "U, the bound of the numerical error, is the same for every factor."
 
 
@@ -348,7 +346,9 @@ def numerical(all_facts: Sequence[Facts]) -> str:
     if not bounded:
         return ""
     by_term = [f for f in bounded if f.result and f.result.u_num_by_term]
-    unknown = _NO_BOUND * any(e.u_num is None for facts in bounded for e in facts.effects)
+    open_terms = {e.term for facts in bounded for e in facts.effects if e.u_num is None}
+    meshes = open_terms & {"model.mesh", "model.mesh_size"}
+    unknown = _OF_MESH * bool(meshes) + _NO_BOUND * bool(open_terms - meshes)
     if not by_term:
         return _BY_COLUMN + unknown
     if len(by_term) == len(bounded):

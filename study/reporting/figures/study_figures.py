@@ -359,12 +359,18 @@ def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:
         "Every effect against what matters" if limited else "Every effect",
         lambda: effect_figures.against_limits(shown, data.labels),
         lambda frame: effect_figures.draw_against_limits(frame, shown),
-        lambda frame: _against_limits(frame, analyzed, shown),
+        lambda frame: _against_limits(frame, analyzed, shown, data),
     )
     return make("overview", plot)
 
 
-def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts]) -> str:
+#: part of the width of the figure that the mark of an effect covers
+_MARK = 0.02
+
+
+def _against_limits(
+    frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts], data: ReportData
+) -> str:
     """Count the effects on either side of what matters, and say what the marks are."""
     if frame["limited"].all():
         verdicts = frame.loc[frame["verdict"] != "", "verdict"].tolist()
@@ -383,6 +389,10 @@ def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Seque
         parts = ["no smallest difference that matters was given, so no effect has a verdict"]
     if (frame["bound"] > 0).any():
         parts.append("thin ends: mesh error")
+    width = frame["high"].max() - min(frame["low"].min(), 0.0)
+    if data.blocks and (frame["high"] - frame["low"] < _MARK * width).any():
+        block = clean(data.block) or "block"
+        parts.append(f"no thick bar: the difference is nearly the same in every {block}")
     left = [facts.title for facts in analyzed if facts not in shown]
     if left:
         parts.append(f"not drawn, on the second page: {listing(left)}")
