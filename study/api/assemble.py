@@ -281,6 +281,7 @@ def report_data(study: Study) -> ReportData:
         convergence=tuple(
             row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
         ),
+        **_refined(design),
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=manifest["virtual"],
         seed=design.seed,
@@ -305,6 +306,15 @@ def report_data(study: Study) -> ReportData:
         or "markers" in design.config,
         **{item.name: getattr(study, item.name) for item in fields(Findings)},
     )
+
+
+def _refined(design: Design) -> dict[str, str]:
+    """Name and unit of the parameter of a program that was refined; empty where it is the mesh."""
+    if (key := design.converge.key) is None:
+        return {}
+    units = design.treatments[0].cell.problem.units
+    unit = units.get(key.partition(".")[2])
+    return {"refined": name_of(key), "refined_size": name_of(key) + (f" ({unit})" if unit else "")}
 
 
 def _scheme(study: Study) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from math import factorial
@@ -312,7 +312,10 @@ def usual_generator(
 
 
 def write_virtual(
-    design: ImitatedDesign, out: Path, generator: Generator | None = None
+    design: ImitatedDesign,
+    out: Path,
+    generator: Generator | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> list[Path]:
     """Write virtual measurements in the files, columns and groups that a design reads."""
     generator = generator or usual_generator(design)
@@ -327,6 +330,8 @@ def write_virtual(
             reference_curve, problem, truth(generator.truth), generator.poisson_ratio,
             as_designed=several, virtual=design.virtual or Virtual(),
         )  # fmt: skip
+        file = spec.file or spec.files
+        progress(f"simulating the test of {file}: {number + 1} of {len(sources)}")
         reference = of()
         note_of = {
             "generator": asdict(generator),

@@ -10,7 +10,7 @@ import pytest
 
 from study import analyze
 from study.record.record import Record
-from study.reporting.content import analysis_content, sentences, tables
+from study.reporting.content import analysis_content, methods, sentences, tables
 from study.reporting.content.blocks import Figure
 from study.reporting.content.report_facts import cells, comparable, facts
 from study.reporting.content.sentences import folded
@@ -205,6 +205,21 @@ def test_a_broken_figure_is_named_and_the_others_are_the_same_to_the_byte(
 
 def test_assumed_inputs_are_labelled(html):
     assert re.search(r"test\.interface <span class=\"flag\">assumed</span>", html)
+
+
+def test_an_error_is_that_of_what_was_refined(data):
+    page = undrawn(replace(data, refined="time step", refined_size="time step (ms)"))
+    assert "How far the answer still depends on the time step." in page
+    assert "Effects resolved by the time step" in page
+    assert not re.search("mesh error|[Ff]iner mesh would", page)
+
+
+def test_the_methods_name_the_error_in_words_and_no_way_to_call_a_program(data):
+    named = methods.paragraph(
+        replace(data, inputs={"forward.argv": "[['python', 'spring.py']]"}), ()
+    )
+    assert "argv" not in named
+    assert "Fixed inputs" not in named
 
 
 def test_failures_are_listed_and_a_refused_response_still_makes_a_report(data):

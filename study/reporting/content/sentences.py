@@ -335,12 +335,12 @@ def error_term(facts: Facts, data: ReportData) -> str:
     return re.sub(r"levels of block|blocks?\b", lambda m: block if m[0] == "block" else many, text)
 
 
-_BY_TERM = 'U bounds the mesh error of the difference (how: docs/verdicts.md, "Numerical error").'
+_BY_TERM = 'U bounds the %s error of the difference (how: docs/verdicts.md, "Numerical error").'
 _OF_MESH = " For mesh density the difference is itself the mesh error, so no U is given."
 _BY_COLUMN = "U, the bound of the numerical error, is the same for every factor."
 
 
-def numerical(all_facts: Sequence[Facts]) -> str:
+def numerical(all_facts: Sequence[Facts], refined: str = "mesh") -> str:
     """Say what the numerical uncertainty beside an effect is; empty where none is known."""
     bounded = [facts for facts in all_facts if any(e.u_num is not None for e in facts.terms)]
     if not bounded:
@@ -352,9 +352,9 @@ def numerical(all_facts: Sequence[Facts]) -> str:
     if not by_term:
         return _BY_COLUMN + unknown
     if len(by_term) == len(bounded):
-        return _BY_TERM + unknown
+        return _BY_TERM % refined + unknown
     titles = listing([facts.title for facts in by_term])
-    return f"For the {titles}, {_BY_TERM} Elsewhere {_BY_COLUMN}{unknown}"
+    return f"For the {titles}, {_BY_TERM % refined} Elsewhere {_BY_COLUMN}{unknown}"
 
 
 _NO_BOUND = f" {MISSING}: no bound is known, as the meshes show no limit of a part of it."

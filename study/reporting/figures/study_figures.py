@@ -388,7 +388,7 @@ def _against_limits(
     else:
         parts = ["no smallest difference that matters was given, so no effect has a verdict"]
     if (frame["bound"] > 0).any():
-        parts.append("thin ends: mesh error")
+        parts.append(f"thin ends: {data.refined} error")
     width = frame["high"].max() - min(frame["low"].min(), 0.0)
     if data.blocks and (frame["high"] - frame["low"] < _MARK * width).any():
         block = clean(data.block) or "block"
@@ -414,7 +414,8 @@ def of_study(data: ReportData) -> dict[str, Figure]:
     if any(fit["error_by_layer_mm"] for document in marked for fit in document["fits"]):
         plots["markers"] = bound(curve_figures.MARKERS, data)
     if data.convergence:
-        plots["convergence"] = bound(convergence_figures.VALUES, data.convergence)
+        plot = convergence_figures.values_against(data.refined_size)
+        plots["convergence"] = bound(plot, data.convergence)
     if data.validation:
         # the first block stands for the others
         rows = [row for row in data.validation if row["block"] == data.validation[0]["block"]]

@@ -181,6 +181,9 @@ class ReportData(Findings):
     checks: tuple[Check, ...] = ()
     #: Series of three meshes or more, as ``study converge --json`` gives them.
     convergence: tuple[Mapping[str, Any], ...] = ()
+    #: What these refine, the mesh or a parameter of a program, and its size with the unit.
+    refined: str = "mesh"
+    refined_size: str = "mesh size (mm)"
     #: Main effects with the test scored to less of its depth.
     depths: tuple[DepthEffect, ...] = ()
     controls: tuple[Check, ...] = ()
