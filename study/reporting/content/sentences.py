@@ -143,7 +143,8 @@ def tested(data: ReportData, facts: Facts) -> str:
     shown = [f"{_label(e, data)} ({size(e, facts)}, {p_phrase(e.p_holm)})" for e in differ]
     rest = [_label(e, data) for e in terms if e not in differ]
     parts = [f"an effect is shown of {listing(shown)}"] if shown else []
-    parts += [f"none is shown of {listing(rest, 'or')}"] if rest else []
+    none = "none" if shown else "no effect"
+    parts += [f"{none} is shown of {listing(rest, 'or')}"] if rest else []
     adjusted = f"at {facts.alpha:g}, adjusted by Holm for {count(len(terms), 'term')}"
     return sentence(f"for {facts.noun}, {'; '.join(parts)} ({adjusted})")
 

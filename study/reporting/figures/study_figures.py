@@ -41,7 +41,7 @@ from study.reporting.figures import (
 )
 from study.reporting.figures.axes import Plot, bound, figures_of, make
 from study.reporting.results.study_result import ReportData
-from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
+from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 
 _MOST_ROWS = 40
 _MOST_PANELS = 4
@@ -389,6 +389,15 @@ def _against_limits(
         parts = ["no smallest difference that matters was given, so no effect has a verdict"]
     if (frame["bound"] > 0).any():
         parts.append(f"thin ends: {data.refined} error")
+    # an interval that would allow a claim says why there is none
+    beyond = frame[(frame["verdict"] == CANNOT_TELL) & (frame["low"] > 1)]
+    for (response, term), names in beyond.groupby(["response", "term"], sort=False)["name"]:
+        (facts,) = (facts for facts in shown if facts.name == response)
+        why = next((e.why for e in facts.effects if e.term == term), "")
+        if why:
+            name = term_name(term, data.labels)
+            where = "" if names.iloc[0] == name else f" {names.iloc[0]}"
+            parts.append(f"{name}{where} lies beyond what matters, but {why}")
     width = frame["high"].max() - min(frame["low"].min(), 0.0)
     if data.blocks and (frame["high"] - frame["low"] < _MARK * width).any():
         block = clean(data.block) or "block"
