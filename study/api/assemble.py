@@ -259,6 +259,7 @@ def report_data(study: Study) -> ReportData:
     )
     table = study.table.copy(deep=False)
     table.attrs = {}  # each step of pandas would copy the units of its columns in depth
+    refined, refined_size = _refined(design)
     return ReportData(
         name=design.name,
         question=design.question,
@@ -281,7 +282,8 @@ def report_data(study: Study) -> ReportData:
         convergence=tuple(
             row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
         ),
-        **_refined(design),
+        refined=refined,
+        refined_size=refined_size,
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=manifest["virtual"],
         seed=design.seed,
@@ -308,13 +310,12 @@ def report_data(study: Study) -> ReportData:
     )
 
 
-def _refined(design: Design) -> dict[str, str]:
-    """Name and unit of the parameter of a program that was refined; empty where it is the mesh."""
+def _refined(design: Design) -> tuple[str, str]:
+    """Name of what was refined, the mesh or a parameter of a program, and of its size with unit."""
     if (key := design.converge.key) is None:
-        return {}
-    units = design.treatments[0].cell.problem.units
-    unit = units.get(key.partition(".")[2])
-    return {"refined": name_of(key), "refined_size": name_of(key) + (f" ({unit})" if unit else "")}
+        return "mesh", "mesh size (mm)"
+    unit = design.treatments[0].cell.problem.units.get(key.partition(".")[2])
+    return name_of(key), name_of(key) + (f" ({unit})" if unit else "")
 
 
 def _scheme(study: Study) -> str:

@@ -235,7 +235,7 @@ def test_a_claim_that_hangs_on_missing_responses_says_so_in_the_answer(tmp_path,
 
 
 def test_an_interval_beyond_what_matters_without_a_claim_says_why(tmp_path):
-    """One level scatters by 20 and three by .1: the pooled interval claims what Welch's does not."""
+    """One level scatters by 20, three by .1: pooled intervals claim what Welch's do not."""
     levels = {"x": (20, 60, 25, 55), "y": (9.9, 10.1, 10, 10.02), "z": (12, 12.1, 11.9, 12.03),
               "w": (11, 11.1, 10.9, 11.04)}  # fmt: skip
     rows = [f"{level},{value}" for level, values in levels.items() for value in values]
