@@ -48,6 +48,7 @@ from study.reporting.results.study_result import (
     CurvePair,
     Findings,
     FittedConstant,
+    Refinement,
     ReportData,
 )
 from study.simulation.response import response_unit
@@ -259,7 +260,6 @@ def report_data(study: Study) -> ReportData:
     )
     table = study.table.copy(deep=False)
     table.attrs = {}  # each step of pandas would copy the units of its columns in depth
-    refined, refined_size = _refined(design)
     return ReportData(
         name=design.name,
         question=design.question,
@@ -279,11 +279,12 @@ def report_data(study: Study) -> ReportData:
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(record for record in study.records if record.retries),
         checks=tuple(_checks(study)),
-        convergence=tuple(
-            row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
+        refinement=Refinement(
+            *_refined(design),
+            tuple(
+                row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
+            ),
         ),
-        refined=refined,
-        refined_size=refined_size,
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=manifest["virtual"],
         seed=design.seed,

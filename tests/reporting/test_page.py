@@ -19,7 +19,12 @@ from study.reporting.figures.axes import data_alone
 from study.reporting.output import study_page
 from study.reporting.output.page import page_names, policy_hash, printed, table_script
 from study.reporting.output.study_page import prepare
-from study.reporting.results.study_result import Check, ReportData, ResponseAnalysis
+from study.reporting.results.study_result import (
+    Check,
+    Refinement,
+    ReportData,
+    ResponseAnalysis,
+)
 from study.statistics.analysis.simple_effects import MATTERS
 from tests.reporting.example import (
     FACTORS,
@@ -208,7 +213,7 @@ def test_assumed_inputs_are_labelled(html):
 
 
 def test_an_error_is_that_of_what_was_refined(data):
-    page = undrawn(replace(data, refined="time step", refined_size="time step (ms)"))
+    page = undrawn(replace(data, refinement=Refinement("time step", "time step (ms)")))
     assert "How far the answer still depends on the time step." in page
     assert "Effects resolved by the time step" in page
     assert not re.search("mesh error|[Ff]iner mesh would", page)

@@ -662,30 +662,29 @@ def _spread(facts: Facts, alpha: float) -> Check:
 
 def _resolution(facts: Facts, data: ReportData, bounded: int) -> Check:
     """Whether the error of what was refined leaves a verdict open, where it is known."""
-    name = f"Effects resolved by the {data.refined}"
+    refined = data.refinement.name
+    name = f"Effects resolved by the {refined}"
     if not bounded:
         finding = "No numerical uncertainty is known."
-        mend = f"Every claim holds at this {data.refined}: the discretization was not examined."
+        mend = f"Every claim holds at this {refined}: the discretization was not examined."
         return Check(name, "not applicable", finding, mend)
     names = {effect.term: term_name(effect.term, data.labels) for effect in facts.effects}
     open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
     if not open_ones:
-        finding = f"{data.refined} error, added to the interval, changes no verdict (of {bounded})"
+        finding = f"{refined} error, added to the interval, changes no verdict (of {bounded})"
         unbounded = [names[effect.term] for effect in facts.effects if effect.u_num is None]
         if unbounded:
             finding += f"; no bound is known for {listing(unbounded)}"
             holds = "These verdicts hold" if len(unbounded) > 1 else "That verdict holds"
-            return Check(
-                name, "caution", finding, f"{holds} at this {data.refined}; refine further."
-            )
-        return Check(name, "pass", finding, f"A finer {data.refined} would change no verdict.")
+            return Check(name, "caution", finding, f"{holds} at this {refined}; refine further.")
+        return Check(name, "pass", finding, f"A finer {refined} would change no verdict.")
     needed = [
         f"below {bound(effect.u_needed, effect, facts)} for {names[effect.term]}"
         for effect in open_ones
         if effect.u_needed is not None
     ]
     unclear = listing([names[e.term] for e in open_ones])
-    finding = f"{data.refined} error is too large to judge {unclear}"
+    finding = f"{refined} error is too large to judge {unclear}"
     finding += "; the measurements alone would suffice" * data.is_measured
-    below = f"Refine: {data.refined} error would have to be {listing(needed)}."
-    return Check(name, "caution", finding, below if needed else f"Refine the {data.refined}.")
+    below = f"Refine: {refined} error would have to be {listing(needed)}."
+    return Check(name, "caution", finding, below if needed else f"Refine the {refined}.")

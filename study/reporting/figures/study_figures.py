@@ -388,14 +388,14 @@ def _against_limits(
     else:
         parts = ["no smallest difference that matters was given, so no effect has a verdict"]
     if (frame["bound"] > 0).any():
-        parts.append(f"thin ends: {data.refined} error")
+        parts.append(f"thin ends: {data.refinement.name} error")
     # an interval that would allow a claim says why there is none
     beyond = frame[(frame["verdict"] == CANNOT_TELL) & (frame["low"] > 1)]
     for (response, term), names in beyond.groupby(["response", "term"], sort=False)["name"]:
         (facts,) = (facts for facts in shown if facts.name == response)
         why = next((e.why for e in facts.effects if e.term == term), "")
         if why:
-            name = term_name(term, data.labels)
+            name = term_name(str(term), data.labels)
             where = "" if names.iloc[0] == name else f" {names.iloc[0]}"
             parts.append(f"{name}{where} lies beyond what matters, but {why}")
     width = frame["high"].max() - min(frame["low"].min(), 0.0)
@@ -422,9 +422,9 @@ def of_study(data: ReportData) -> dict[str, Figure]:
     marked = (document for case in data.markers for document in case.markers)
     if any(fit["error_by_layer_mm"] for document in marked for fit in document["fits"]):
         plots["markers"] = bound(curve_figures.MARKERS, data)
-    if data.convergence:
-        plot = convergence_figures.values_against(data.refined_size)
-        plots["convergence"] = bound(plot, data.convergence)
+    if data.refinement.series:
+        plot = convergence_figures.values_against(data.refinement.size)
+        plots["convergence"] = bound(plot, data.refinement.series)
     if data.validation:
         # the first block stands for the others
         rows = [row for row in data.validation if row["block"] == data.validation[0]["block"]]
