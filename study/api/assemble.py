@@ -48,7 +48,7 @@ from study.reporting.results.study_result import (
     CurvePair,
     Findings,
     FittedConstant,
-    Refinement,
+    RefinedSize,
     ReportData,
 )
 from study.simulation.response import response_unit
@@ -279,7 +279,7 @@ def report_data(study: Study) -> ReportData:
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(record for record in study.records if record.retries),
         checks=tuple(_checks(study)),
-        refinement=Refinement(
+        refinement=RefinedSize(
             *_refined(design),
             tuple(
                 row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows

@@ -21,7 +21,7 @@ from study.reporting.output.page import page_names, policy_hash, printed, table_
 from study.reporting.output.study_page import prepare
 from study.reporting.results.study_result import (
     Check,
-    Refinement,
+    RefinedSize,
     ReportData,
     ResponseAnalysis,
 )
@@ -213,7 +213,7 @@ def test_assumed_inputs_are_labelled(html):
 
 
 def test_an_error_is_that_of_what_was_refined(data):
-    page = undrawn(replace(data, refinement=Refinement("time step", "time step (ms)")))
+    page = undrawn(replace(data, refinement=RefinedSize("time step", "time step (ms)")))
     assert "How far the answer still depends on the time step." in page
     assert "Effects resolved by the time step" in page
     assert not re.search("mesh error|[Ff]iner mesh would", page)

@@ -186,11 +186,8 @@ def _numerics(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[str]:
     if data.numerical:
         how = "by mesh refinement for each kind of discretization"
         if any(f.result and f.result.u_num_by_term for f in all_facts):
-            over = (
-                "meshes"
-                if data.refinement.name == "mesh"
-                else f"values of the {data.refinement.name}"
-            )
+            name = data.refinement.name
+            over = "meshes" if name == "mesh" else f"values of the {name}"
             how = f"for each difference, by following the same difference over a series of {over}"
         yield (
             f"Numerical uncertainty was estimated {how}; its bound U was added to both ends of an "

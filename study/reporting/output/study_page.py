@@ -347,8 +347,8 @@ def _checks(data: ReportData, all_facts: Sequence[Facts], figures: Figures) -> B
     yield Heading("Numerical credibility", 2, "numerics")
     if data.numerical:
         yield Sentence(
-            f"How far the answer still depends on the {data.refinement.name}. U, the bound of this error "
-            "for a difference, is added to both ends of its interval."
+            f"How far the answer still depends on the {data.refinement.name}. U, the bound of this "
+            "error for a difference, is added to both ends of its interval."
         )
         yield tables.numerical(data.numerical, data)
     else:

@@ -132,7 +132,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Refinement:
+class RefinedSize:
     """What was refined, the mesh or a parameter of a program, its size with the unit, and how."""
 
     name: str = "mesh"
@@ -189,7 +189,7 @@ class ReportData(Findings):
     #: Checks that the runner made (store, stability, ...); those of the analysis are added by the
     #: report.
     checks: tuple[Check, ...] = ()
-    refinement: Refinement = Refinement()
+    refinement: RefinedSize = RefinedSize()
     #: Main effects with the test scored to less of its depth.
     depths: tuple[DepthEffect, ...] = ()
     controls: tuple[Check, ...] = ()
