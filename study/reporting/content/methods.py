@@ -241,7 +241,7 @@ _FOUND_IN_TEXT = [
     term for term in TERMS if term not in ("p", "F", "df", "U", "share", "matters from", "block")
 ]
 _PATTERN = re.compile(
-    r"(?<![\w-])(?:" + "|".join(map(re.escape, sorted(_FOUND_IN_TEXT, key=len, reverse=True)))
+    r"(?<![\w-])(?<!load )(?:" + "|".join(map(re.escape, sorted(_FOUND_IN_TEXT, key=len, reverse=True)))
     + r")(?![\w-])"
 )  # fmt: skip
 
@@ -253,6 +253,8 @@ def glossed(text: str) -> Markup:
     --------
     >>> print(glossed("1 pp < 2 pp"))
     1 <abbr title="Percentage points: from 2 % to 3 % is 1 pp.">pp</abbr> &lt; 2 pp
+    >>> print(glossed("the load cell"))
+    the load cell
     """
     seen: set[str] = set()
     parts, last = [], 0
