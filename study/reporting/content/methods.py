@@ -241,7 +241,8 @@ _FOUND_IN_TEXT = [
     term for term in TERMS if term not in ("p", "F", "df", "U", "share", "matters from", "block")
 ]
 _PATTERN = re.compile(
-    r"(?<![\w-])(?<!load )(?:" + "|".join(map(re.escape, sorted(_FOUND_IN_TEXT, key=len, reverse=True)))
+    r"(?<![\w-])(?<!load )(?:"
+    + "|".join(map(re.escape, sorted(_FOUND_IN_TEXT, key=len, reverse=True)))
     + r")(?![\w-])"
 )  # fmt: skip
 
