@@ -4,7 +4,8 @@
 #   make verify   the long verification: expected, got, error
 #   make bench    the speed comparisons
 #   make elements error of every element against unknowns and seconds: docs/elements.md
-#   make gallery  the shipped studies that are quick, run and photographed for the documentation
+#   make gallery  the shipped studies that are quick, run and photographed for the documentation,
+#                 and the cookbook with what its cells show
 #   make docs     the documentation site: docs/_build/index.html
 #   make newest   the test suite with the newest versions of all packages instead of the locked ones
 #   make other-processors   TESTS=... as other processors and installations would run them;
@@ -58,6 +59,7 @@ elements: $(ready)
 
 gallery: $(ready)
 	@PYTHONPATH=. .venv/bin/python docs/gallery_pictures.py
+	@PYTHONPATH=. .venv/bin/python docs/reference.py
 
 # Warnings are errors: a broken link, a page in no table of contents, a docstring that no one can read.
 docs: $(ready)

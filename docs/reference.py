@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import ast
+import contextlib
 import inspect
+import io
 import json
+import pprint
 import re
 import shutil
+import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import gallery_pictures
 
@@ -169,12 +175,55 @@ def python() -> str:
     return "\n".join(parts)
 
 
+def run_cell(text: str, names: dict[str, object]) -> object:
+    """Run a cell as a notebook does: the value of a last expression is what it shows."""
+    *body, last = ast.parse(text).body
+    if not isinstance(last, ast.Expr):
+        exec(compile(text, "a cell", "exec"), names)
+        return None
+    exec(compile(ast.Module(body, []), "a cell", "exec"), names)
+    return eval(compile(ast.Expression(last.value), "a cell", "eval"), names)
+
+
+def outputs_of(cell: Mapping[str, Any], number: int, names: dict[str, object]) -> list[Any]:
+    """Run a cell of a notebook, and return what it prints and shows as a notebook keeps it."""
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        shown = run_cell("".join(cell["source"]), names)
+    kept: list[Any] = []
+    if text := printed.getvalue():
+        kept.append({"name": "stdout", "output_type": "stream", "text": text.splitlines(True)})
+    if shown is not None:
+        data = {"text/plain": pprint.pformat(shown).splitlines(True)}
+        if hasattr(shown, "_repr_svg_"):
+            data = {"image/svg+xml": shown._repr_svg_().splitlines(True)}
+        kept.append({"data": data, "execution_count": number, "metadata": {},
+                     "output_type": "execute_result"})  # fmt: skip
+    return kept
+
+
+def keep_outputs(path: Path) -> None:
+    """Run a notebook from top to bottom in an empty folder, and keep its outputs in it."""
+    notebook, names = json.loads(path.read_text(encoding="utf-8")), dict[str, object]()
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        for number, cell in enumerate(cells, 1):
+            cell["execution_count"] = number
+            cell["outputs"] = outputs_of(cell, number, names)
+    text = json.dumps(notebook, indent=1, ensure_ascii=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
 def cookbook(path: Path) -> str:
-    """Return the page of the cookbook: its notebook, whose cells a test runs."""
+    """Return the page of the cookbook: its notebook, whose cells a test runs, with its outputs."""
     parts = []
     for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
         text = "".join(cell["source"])
         parts += [f"```python\n{text}\n```" if cell["cell_type"] == "code" else text]
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {"text/plain": output.get("text")})
+            language, lines = next(iter(data.items()))
+            kind = "{raw} html" if language == "image/svg+xml" else "text"
+            parts += [f"```{kind}\n{''.join(lines).rstrip()}\n```"]
     note = f"The same as a notebook: {{download}}`{path.name}`."
     return "\n\n".join([parts[0], note, *parts[1:]]) + "\n"
 
@@ -269,3 +318,7 @@ def _shipped(path: Path, answer: str, links: Mapping[str, str]) -> Iterator[str]
     if path.stem in links:
         yield f'<a href="{links[path.stem]}">The whole report of {path.stem}</a>'
         yield ""
+
+
+if __name__ == "__main__":
+    keep_outputs(HERE / "cookbook.ipynb")

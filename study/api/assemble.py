@@ -48,6 +48,7 @@ from study.reporting.results.study_result import (
     CurvePair,
     Findings,
     FittedConstant,
+    RefinedSize,
     ReportData,
 )
 from study.simulation.response import response_unit
@@ -278,8 +279,11 @@ def report_data(study: Study) -> ReportData:
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(record for record in study.records if record.retries),
         checks=tuple(_checks(study)),
-        convergence=tuple(
-            row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
+        refinement=RefinedSize(
+            *_refined(design),
+            tuple(
+                row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
+            ),
         ),
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=manifest["virtual"],
@@ -305,6 +309,14 @@ def report_data(study: Study) -> ReportData:
         or "markers" in design.config,
         **{item.name: getattr(study, item.name) for item in fields(Findings)},
     )
+
+
+def _refined(design: Design) -> tuple[str, str]:
+    """Name of what was refined, the mesh or a parameter of a program, and of its size with unit."""
+    if (key := design.converge.key) is None:
+        return "mesh", "mesh size (mm)"
+    unit = design.treatments[0].cell.problem.units.get(key.partition(".")[2])
+    return name_of(key), name_of(key) + (f" ({unit})" if unit else "")
 
 
 def _scheme(study: Study) -> str:
@@ -504,9 +516,9 @@ def _checks_of_fits(
         counts = [f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows"]
         counts += [count(len(doubtful), "is doubtful", "are doubtful")] * bool(doubtful)
         counts += [count(len(bad), "does not", "do not")] * bool(bad)
-        # the counts hold the verdict: the reason alone follows
+        # the counts hold the verdict: two of its reasons follow, of several for every curve
         reason = misfits[first["key"]].partition("the data: ")[2]
-        reason = reason.removeprefix("use no constant of it: ")
+        reason = "; ".join(reason.removeprefix("use no constant of it: ").split("; ")[:2])
         where = f", for example that of {name}" if name else ""
         where += ", " if reason.startswith("curve ") else ": "
         finding = f"{listing(counts)}{where}{reason}"

@@ -308,11 +308,13 @@ def virtual(
     overrides: Sequence[str] = (),
     truth: str = "yeoh",
     blocks: int | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> list[Path]:
     """Write virtual measurements for a design, the demo's by default; or a tracker's recording.
 
     ``truth`` is the material behind the specimens (yeoh, ogden or humphrey), of which there are
     ``blocks``, 6 by default; the files get the names that the design gives them below ``out``.
+    ``progress`` is called with a sentence before each simulation.
     """
     if source is not None and is_tracking(source):
         if overrides or blocks is not None:
@@ -320,9 +322,8 @@ def virtual(
             raise InputError(Fault(str(source), "is a file of `study tracking`, no design", mend))
         return write_recording(load_tracking(source), Path(out))
     design = demo_design(overrides) if source is None else load(source, overrides)
-    return write_virtual(
-        design, Path(out), usual_generator(design, truth_name=truth, blocks=blocks)
-    )
+    generator = usual_generator(design, truth_name=truth, blocks=blocks)
+    return write_virtual(design, Path(out), generator, progress)
 
 
 def new_file(file: str | Path, *, calibration: bool = False) -> list[Path]:

@@ -56,10 +56,11 @@ class SeriesDocument(Shown, dict[str, object]):
 
     def plot(self) -> Drawing:
         """Draw value against mesh size, a panel a series, with the limit at zero."""
-        from study.reporting.figures.convergence_figures import draw_values
+        from study.reporting.figures.convergence_figures import MESH_SIZE, draw_values
 
         frame = self.to_frame()
-        return shown(lambda: draw_values([], frame), "convergence", "value against mesh size")
+        title = "value against mesh size"
+        return shown(lambda: draw_values(MESH_SIZE, [], frame), "convergence", title)
 
     def blocks(self) -> Iterator[Block]:
         """Every series with its verdict, as ``study converge`` prints them."""

@@ -9,7 +9,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated
 
@@ -90,7 +90,8 @@ def virtual(
     from study.simulation.fit_problem import data_root
 
     chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}
-    for path in api.virtual(out, source, **chosen):
+    progress = partial(print, file=sys.stderr, flush=True)
+    for path in api.virtual(out, source, **chosen, progress=progress):
         print(path)
     if source is not None and is_tracking(source):
         where = None if data_root(source).resolve() == out.resolve() else out

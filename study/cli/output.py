@@ -232,6 +232,8 @@ def after_plan(planned: Plan, design: Path, options: Options) -> tuple[str, str]
             "put the measurements there, or make some of virtual specimens",
             written("virtual", "measurements", options={"--from": design, "-s": options.get("-s")}),
         )
+    if not planned.design.responses:
+        return "judge its meshes, since it names no response", written("converge", design)
     missing = planned.cases["missing"]
     if missing and planned.calls_function:
         return (

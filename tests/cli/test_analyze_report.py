@@ -232,3 +232,15 @@ def test_a_claim_that_hangs_on_missing_responses_says_so_in_the_answer(tmp_path,
     assert ("only if the missing responses are like the others" in page) == hangs
     assert ("It stands only if they are like the others." in page) == hangs
     assert ("No claim hangs on them." in page) != hangs
+
+
+def test_an_interval_beyond_what_matters_without_a_claim_says_why(tmp_path):
+    """One level scatters by 20, three by .1: pooled intervals claim what Welch's do not."""
+    levels = {"x": (20, 60, 25, 55), "y": (9.9, 10.1, 10, 10.02), "z": (12, 12.1, 11.9, 12.03),
+              "w": (11, 11.1, 10.9, 11.04)}  # fmt: skip
+    rows = [f"{level},{value}" for level, values in levels.items() for value in values]
+    (tmp_path / "spread.csv").write_text("\n".join(["a,y", *rows]) + "\n")
+    asked = ("--response", "y", "--factors", "a", "--practical", "2", "--report", "out")
+    success("analyze", "spread.csv", *asked, folder=tmp_path)
+    first = (tmp_path / "out" / "spread-y.html").read_text(encoding="utf-8")
+    assert re.search(r"; a lies beyond what matters, but [^;]*Welch", first)

@@ -132,6 +132,7 @@ def test_virtual_measurements_reach_the_deepest_range(home, edit):
     shutil.rmtree("data")
     answer = success("virtual", "data", "--from", "small.toml")
     assert answer.out.split() == ["data/tests.csv", "data/tests.csv.virtual.json"]
+    assert answer.err.startswith("simulating the test of tests.csv: 1 of 1\n")
     with Path("data/tests.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert set(rows[0]) == {"mix", "specimen", "repeat", "d_mm", "f_N"}

@@ -144,4 +144,7 @@ def test_the_site_builds_without_a_warning(tmp_path):
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     for page in ("index", "theory", "design-file", "python", "gallery", "cookbook", "contributing"):
-        assert (tmp_path / f"{page}.html").is_file()
+        text = (tmp_path / f"{page}.html").read_text(encoding="utf-8")
+        # formulas and everything else come with the page
+        assert not re.search(r"""(src|href)="https?://[^"]+[.](js|css|woff2?)\b""", text)
+    assert 'aria-label="\\mathbf{F}"' in (tmp_path / "theory.html").read_text(encoding="utf-8")

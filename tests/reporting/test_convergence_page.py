@@ -105,7 +105,9 @@ def test_the_caption_says_how_many_converge():
     assert text.startswith("1 of 2 series have an interval")
     assert "line and diamond" in text
     without = convergence.value_caption([cell(-1.0, error=1.0)], None)
-    assert without == "0 of 1 series have an interval. Points: meshes."  # nothing else is drawn
+    assert (
+        without == "0 of 1 series have an interval. Points: sizes that were solved."
+    )  # nothing else is drawn
     assert convergence.error_caption([cell(-1.0)], None) == "No series has an order."
 
 

@@ -154,7 +154,11 @@ def test_a_prediction_that_stopped_leaves_its_measurement_whole(data):
     assert found.frame["displacement_mm"].max() == 10.0
     assert found.frame.dropna(subset=["predicted_N"])["displacement_mm"].max() == 4.0
     assert found.frame["measured_N"].notna().all()
-    assert "stopped" in curve_figures.curves_caption(found, data, found.frame)
+    words = curve_figures.curves_caption(found, data, found.frame)
+    assert "stopped" in words
+    # a curve without a block has the name of its line alone
+    of_none = curve_figures.curves_caption(found, data, found.frame.assign(block=""))
+    assert "N (soft)." in of_none
 
 
 def test_no_two_panels_have_the_same_title(data):

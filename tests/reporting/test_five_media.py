@@ -1,4 +1,4 @@
-"""One table in every medium: page, terminal, notebook, LaTeX, CSV, JSON hold the same numbers."""
+"""A table, a study, a calibration: page, terminal, notebook, files hold equal numbers."""
 
 import csv
 import json
@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+import study
 from study import analyze
-from tests.cli.small import success
+from tests.cli.small import CSV, DESIGN, success, write_files
 from tests.reporting.example import data_alone, words_of
 
 TABLE = Path(__file__).parents[2] / "validation" / "statistics" / "battery_life.csv"
@@ -92,3 +93,46 @@ def test_latex_has_a_label_and_the_rules_of_booktabs_for_each_table(media):
 def test_a_p_is_written_one_way(media):
     for medium in ("page", "terminal", "notebook", "latex"):
         assert not re.search(r"\bp(-value)? ?(=|<|>) ?0\.\d", media[medium]), medium
+
+
+#: one result on three ways: the command, the same in Python, the folder of its pages
+SHOWN = {
+    "study": (
+        "run small.toml --data data --jobs 1",
+        lambda: study.load("results/small"),
+        "reports/small",
+    ),
+    "calibration": (
+        "calibrate calibration.toml --data data",
+        lambda: study.calibrate("calibration.toml", data="data", results="again"),
+        "",
+    ),
+    "simulation": ("solve problem.toml", lambda: study.solve("problem.toml"), ""),
+}
+NUMBER = re.compile(
+    r"(?<![\w.])[\N{MINUS SIGN}-]?\d*\.\d+(?:e[\N{MINUS SIGN}-]?\d+)?|\d+e\N{MINUS SIGN}\d+"
+)
+
+
+def numbers_of(text):
+    """Numbers with a point: counts, levels and seconds of a run have none, or differ."""
+    return NUMBER.findall(re.sub(r"\b[\d.]+ m?s\b", "", text.replace("\N{NO-BREAK SPACE}", " ")))
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_a_notebook_shows_the_numbers_of_terminal_and_page(tmp_path, monkeypatch, name):
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    Path("small.toml").write_text(DESIGN.removesuffix(CSV), "utf-8")
+    command, opened, folder = SHOWN[name]
+    with data_alone():
+        terminal = success(*command.split()).out
+    result = opened()
+    notebook = numbers_of(words_of(result._repr_html_()))
+    assert len(notebook) > 5
+    media = {"terminal": terminal, "prompt": repr(result)}
+    if folder:  # a calibration and a simulation have no page
+        pages = (path.read_text("utf-8") for path in Path(folder).glob("*.html"))
+        media["page"] = " ".join(map(words_of, pages))
+    for medium, text in media.items():
+        assert not set(notebook) - set(numbers_of(text)), medium

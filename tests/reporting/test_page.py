@@ -10,7 +10,7 @@ import pytest
 
 from study import analyze
 from study.record.record import Record
-from study.reporting.content import analysis_content, sentences, tables
+from study.reporting.content import analysis_content, methods, sentences, tables
 from study.reporting.content.blocks import Figure
 from study.reporting.content.report_facts import cells, comparable, facts
 from study.reporting.content.sentences import folded
@@ -19,7 +19,12 @@ from study.reporting.figures.axes import data_alone
 from study.reporting.output import study_page
 from study.reporting.output.page import page_names, policy_hash, printed, table_script
 from study.reporting.output.study_page import prepare
-from study.reporting.results.study_result import Check, ReportData, ResponseAnalysis
+from study.reporting.results.study_result import (
+    Check,
+    RefinedSize,
+    ReportData,
+    ResponseAnalysis,
+)
 from study.statistics.analysis.simple_effects import MATTERS
 from tests.reporting.example import (
     FACTORS,
@@ -205,6 +210,21 @@ def test_a_broken_figure_is_named_and_the_others_are_the_same_to_the_byte(
 
 def test_assumed_inputs_are_labelled(html):
     assert re.search(r"test\.interface <span class=\"flag\">assumed</span>", html)
+
+
+def test_an_error_is_that_of_what_was_refined(data):
+    page = undrawn(replace(data, refinement=RefinedSize("time step", "time step (ms)")))
+    assert "How far the answer still depends on the time step." in page
+    assert "Effects resolved by the time step" in page
+    assert not re.search("mesh error|[Ff]iner mesh would", page)
+
+
+def test_the_methods_name_the_error_in_words_and_no_way_to_call_a_program(data):
+    named = methods.paragraph(
+        replace(data, inputs={"forward.argv": "[['python', 'spring.py']]"}), ()
+    )
+    assert "argv" not in named
+    assert "Fixed inputs" not in named
 
 
 def test_failures_are_listed_and_a_refused_response_still_makes_a_report(data):

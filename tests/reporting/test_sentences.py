@@ -241,7 +241,13 @@ def test_the_number_beside_an_effect_is_explained():
     known = replace(error(), terms=(effect(MATTERS, u_num=0.04),))
     own = with_result(known, Assumptions(), u_num_by_term=True)
     assert "is the same for every factor" in sentences.numerical([known])
+    assert sentences.numerical([own, own]).endswith('"Numerical error").')
     assert "mesh error of the difference" in sentences.numerical([own, own])
+    assert "time step error of the difference" in sentences.numerical([own], "time step")
+    # of meshes where one is a factor, and of no other factor
+    named = replace(own, terms=(replace(own.terms[0], term="model.mesh", u_num=None), *own.terms))
+    assert "For mesh density" in sentences.numerical([named])
+    assert "no bound is known" not in sentences.numerical([named])
     mixed = sentences.numerical([own, known])
     assert mixed.startswith("For the relative RMS force error, U bounds")
     assert "Elsewhere U, the bound" in mixed

@@ -454,6 +454,11 @@ def test_a_bound_covers_the_error_of_a_solver_of_second_order(tmp_path, rows, ba
         for row in found.numerical
     ]
     assert len(covered) == 10 * rows
+    # its report speaks of the step that was refined, and of no mesh
+    api.report(found.folder, reports=tmp_path / "reports")
+    page = both_pages(tmp_path / "reports" / "second-order" / "second-order.html")
+    assert "How far the answer still depends on the h." in page
+    assert "mesh error" not in page
     assert sum(covered) >= bar
     effect = next(v for v in found.verdicts if v["factor"] == "parameters.i")
     assert effect["u_num"] > 0

@@ -1,5 +1,7 @@
 """The generator of virtual specimens: its scatter is what it says, and its seed decides it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from study.simulation import virtual_specimens
 from study.simulation.cell import CellProblem
 from study.simulation.problem_file import Virtual
 from study.simulation.virtual_specimens import (
+    TRUTHS,
     Generator,
     _csv,
     _files,
@@ -52,6 +55,23 @@ def test_stiffness_scatters_as_declared():
     # standard error of a standard deviation of 400 values: 3.5 %
     assert factors.std(ddof=1) == pytest.approx(0.06, rel=0.12)
     assert factors.mean() == pytest.approx(0.0, abs=0.01)
+
+
+def test_shapes_scatter_between_the_specimens_of_a_batch_where_they_were_measured_to(monkeypatch):
+    """Force 4 d and a change of d^3 for each unit of the shape: twice the declared .05."""
+    kept = {"specimen_sd": 0.0, "noise_N": 0.0, "batch_sd": 0.0, "batches": 400, "repeats": 1}
+    same = drawn(**kept)
+    assert np.array_equal(same[0].force_N, same[1].force_N)
+    monkeypatch.setitem(TRUTHS, "yeoh", replace(TRUTHS["yeoh"], specimen_sd=0.05))
+    found = drawn(**kept)
+    apart = [
+        np.abs(b.force_N - a.force_N).max() for a, b in zip(found[::2], found[1::2], strict=True)
+    ]
+    assert min(apart) > 0
+    between = [t.force_N[-1] for t in drawn(**kept, shape_sd=0.05)[::2]]
+    # the shapes of two specimens differ by the square root of two standard deviations
+    alone = [b.force_N[-1] - a.force_N[-1] for a, b in zip(found[::2], found[1::2], strict=True)]
+    assert np.std(alone) == pytest.approx(np.std(between), rel=0.12)
 
 
 def test_shape_scatter_follows_the_gradient():

@@ -294,7 +294,11 @@ def against_reference(factor: str, comparisons: Comparisons, data: ReportData) -
     )
 
 
-def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Table | None:
+def checks(
+    analysis: AnalysisResult,
+    name: str = "tests of assumptions",
+    labels: Mapping[str, str] | None = None,
+) -> Table | None:
     """Statistic and p of every test of an assumption that ran."""
     tests = analysis.assumptions
     rows: list[tuple[str, str, float | None, str, str]] = []
@@ -317,7 +321,8 @@ def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Tabl
         rows.append(("additivity", "Tukey, one df", tukey.f, p_value(tukey.p), ""))
     for term, sphere in tests.sphericity.items():
         if sphere.p is not None:
-            rows.append(("sphericity", f"Mauchly, {clean(term)}", sphere.w, p_value(sphere.p), ""))
+            mauchly = f"Mauchly, {term_name(term, labels)}"
+            rows.append(("sphericity", mauchly, sphere.w, p_value(sphere.p), ""))
     if not rows:
         return None
     columns = ("assumption", "test", "statistic", "p", "p simulated")
@@ -656,28 +661,30 @@ def _spread(facts: Facts, alpha: float) -> Check:
 
 
 def _resolution(facts: Facts, data: ReportData, bounded: int) -> Check:
-    """Whether mesh error leaves a verdict open, of the effects that it is known of."""
-    name = "Effects resolved by the mesh"
+    """Whether the error of what was refined leaves a verdict open, where it is known."""
+    refined = data.refinement.name
+    name = f"Effects resolved by the {refined}"
     if not bounded:
         finding = "No numerical uncertainty is known."
-        mend = "Every claim holds at this mesh: the discretization was not examined."
+        mend = f"Every claim holds at this {refined}: the discretization was not examined."
         return Check(name, "not applicable", finding, mend)
     names = {effect.term: term_name(effect.term, data.labels) for effect in facts.effects}
     open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
     if not open_ones:
-        finding = f"mesh error, added to the interval, changes no verdict (of {bounded})"
+        finding = f"{refined} error, added to the interval, changes no verdict (of {bounded})"
         unbounded = [names[effect.term] for effect in facts.effects if effect.u_num is None]
         if unbounded:
             finding += f"; no bound is known for {listing(unbounded)}"
             holds = "These verdicts hold" if len(unbounded) > 1 else "That verdict holds"
-            return Check(name, "caution", finding, f"{holds} at this mesh; refine further.")
-        return Check(name, "pass", finding, "Finer meshes would change no verdict.")
+            return Check(name, "caution", finding, f"{holds} at this {refined}; refine further.")
+        return Check(name, "pass", finding, f"A finer {refined} would change no verdict.")
     needed = [
         f"below {bound(effect.u_needed, effect, facts)} for {names[effect.term]}"
         for effect in open_ones
         if effect.u_needed is not None
     ]
-    finding = f"mesh error is too large to judge {listing([names[e.term] for e in open_ones])}"
+    unclear = listing([names[e.term] for e in open_ones])
+    finding = f"{refined} error is too large to judge {unclear}"
     finding += "; the measurements alone would suffice" * data.is_measured
-    below = f"Refine: mesh error would have to be {listing(needed)}."
-    return Check(name, "caution", finding, below if needed else "Refine the mesh.")
+    below = f"Refine: {refined} error would have to be {listing(needed)}."
+    return Check(name, "caution", finding, below if needed else f"Refine the {refined}.")

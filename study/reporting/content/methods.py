@@ -101,8 +101,10 @@ def _measurements(data: ReportData) -> Iterator[str]:
     elif data.citation:
         yield sentence(f"measurements: {clean(data.citation)}")
     if data.inputs:
-        fixed = "; ".join(f"{part} {line}" for part, line in grouped_inputs(data.inputs).items())
-        yield sentence(f"fixed inputs: {fixed}")
+        # how a program is called is no input of what it computes
+        given = {part: line for part, line in grouped_inputs(data.inputs).items()
+                 if part != "forward"}  # fmt: skip
+        yield sentence(f"fixed inputs: {'; '.join(map(' '.join, given.items()))}") * bool(given)
     if data.assumed:
         named = listing([name_of(key, data.labels) for key in data.assumed])
         yield sentence(f"assumed, not measured: {named}")
@@ -135,7 +137,7 @@ def _statistics(facts: Facts, data: ReportData) -> str:
         else "the interactions with the blocks were pooled as error",
         "E0": "the pooled variance of independent replicates was the error",
         "E7": "no test was made, because there is no error term",
-    }.get(source, f"the error term was {source}")
+    }.get(source, f"the error was {ERROR_TERMS.get(source, source)}")
     limit = next((practical(e, facts) for e in facts.effects if e.practical is not None), "")
     what = "ratio" if facts.ratio else "difference"
     against = (
@@ -184,7 +186,9 @@ def _numerics(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[str]:
     if data.numerical:
         how = "by mesh refinement for each kind of discretization"
         if any(f.result and f.result.u_num_by_term for f in all_facts):
-            how = "for each difference, by following the same difference over a series of meshes"
+            name = data.refinement.name
+            over = "meshes" if name == "mesh" else f"values of the {name}"
+            how = f"for each difference, by following the same difference over a series of {over}"
         yield (
             f"Numerical uncertainty was estimated {how}; its bound U was added to both ends of an "
             "interval before it was held against what matters."
@@ -204,8 +208,8 @@ TERMS: dict[str, str] = {
     "batch. Every combination of the factors is computed for each block.",
     "cell": "One combination of the levels of all factors.",
     "pp": "Percentage points: from 2 % to 3 % is 1 pp.",
-    "U": "Bound of the numerical error of a difference, from finer meshes. It is added to both "
-    "ends of the interval before that is held against what matters.",
+    "U": "Bound of the numerical error of a difference, from finer meshes or steps. It is added to "
+    "both ends of the interval before that is held against what matters.",
     "matters from": "The smallest difference that matters in practice, as it was declared.",
     "largest difference": "Between the two levels that are farthest apart, on average over the "
     "other factors.",
@@ -237,7 +241,8 @@ _FOUND_IN_TEXT = [
     term for term in TERMS if term not in ("p", "F", "df", "U", "share", "matters from", "block")
 ]
 _PATTERN = re.compile(
-    r"(?<![\w-])(?:" + "|".join(map(re.escape, sorted(_FOUND_IN_TEXT, key=len, reverse=True)))
+    r"(?<![\w-])(?<!load )(?:"
+    + "|".join(map(re.escape, sorted(_FOUND_IN_TEXT, key=len, reverse=True)))
     + r")(?![\w-])"
 )  # fmt: skip
 
@@ -249,6 +254,8 @@ def glossed(text: str) -> Markup:
     --------
     >>> print(glossed("1 pp < 2 pp"))
     1 <abbr title="Percentage points: from 2 % to 3 % is 1 pp.">pp</abbr> &lt; 2 pp
+    >>> print(glossed("the load cell"))
+    the load cell
     """
     seen: set[str] = set()
     parts, last = [], 0

@@ -143,7 +143,8 @@ def tested(data: ReportData, facts: Facts) -> str:
     shown = [f"{_label(e, data)} ({size(e, facts)}, {p_phrase(e.p_holm)})" for e in differ]
     rest = [_label(e, data) for e in terms if e not in differ]
     parts = [f"an effect is shown of {listing(shown)}"] if shown else []
-    parts += [f"none is shown of {listing(rest, 'or')}"] if rest else []
+    none = "none" if shown else "no effect"
+    parts += [f"{none} is shown of {listing(rest, 'or')}"] if rest else []
     adjusted = f"at {facts.alpha:g}, adjusted by Holm for {count(len(terms), 'term')}"
     return sentence(f"for {facts.noun}, {'; '.join(parts)} ({adjusted})")
 
@@ -337,26 +338,26 @@ def error_term(facts: Facts, data: ReportData) -> str:
     return re.sub(r"levels of block|blocks?\b", lambda m: block if m[0] == "block" else many, text)
 
 
-_BY_TERM = (
-    'U bounds the mesh error of the difference (how: docs/verdicts.md, "Numerical error"). '
-    "For mesh density the difference is itself the mesh error, so no U is given."
-)
+_BY_TERM = 'U bounds the %s error of the difference (how: docs/verdicts.md, "Numerical error").'
+_OF_MESH = " For mesh density the difference is itself the mesh error, so no U is given."
 _BY_COLUMN = "U, the bound of the numerical error, is the same for every factor."
 
 
-def numerical(all_facts: Sequence[Facts]) -> str:
+def numerical(all_facts: Sequence[Facts], refined: str = "mesh") -> str:
     """Say what the numerical uncertainty beside an effect is; empty where none is known."""
     bounded = [facts for facts in all_facts if any(e.u_num is not None for e in facts.terms)]
     if not bounded:
         return ""
     by_term = [f for f in bounded if f.result and f.result.u_num_by_term]
-    unknown = _NO_BOUND * any(e.u_num is None for facts in bounded for e in facts.effects)
+    open_terms = {e.term for facts in bounded for e in facts.effects if e.u_num is None}
+    meshes = open_terms & {"model.mesh", "model.mesh_size"}
+    unknown = _OF_MESH * bool(meshes) + _NO_BOUND * bool(open_terms - meshes)
     if not by_term:
         return _BY_COLUMN + unknown
     if len(by_term) == len(bounded):
-        return _BY_TERM + unknown
+        return _BY_TERM % refined + unknown
     titles = listing([facts.title for facts in by_term])
-    return f"For the {titles}, {_BY_TERM} Elsewhere {_BY_COLUMN}{unknown}"
+    return f"For the {titles}, {_BY_TERM % refined} Elsewhere {_BY_COLUMN}{unknown}"
 
 
 _NO_BOUND = f" {MISSING}: no bound is known, as the meshes show no limit of a part of it."

@@ -211,7 +211,7 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
             "p (Holm)": lambda of: p_value(of[1].p_holm),
         },
         left=3,
-        note=sentences.numerical(all_facts),
+        note=sentences.numerical(all_facts, data.refinement.name),
         grouped=True,
         raw=lambda of: {
             "response": of[0].name,

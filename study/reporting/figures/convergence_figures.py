@@ -6,6 +6,7 @@ Everything comes as plain values: a series is the document that ``study converge
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -23,6 +24,8 @@ from study.reporting.figures import axes as style
 #: more panels than these are no picture any more; the table has them all
 MOST_PANELS = 12
 COLUMNS = 4
+#: what is refined where no parameter of a program is
+MESH_SIZE = "mesh size (mm)"
 
 
 #: behaviour whose bound is a scatter and no interval of a limit
@@ -65,8 +68,8 @@ def _titles(cells: Sequence[Document]) -> list[str]:
     return [" / ".join(labels[key] for key in shown if key in labels) for labels in levels]
 
 
-def draw_values(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
-    """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
+def draw_values(size: str, _cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
+    """Draw value against size, a panel a cell: fit, limit at zero, interval at the finest."""
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
     figure, axes = style.panels(len(groups), COLUMNS, 2.1)
     if engine := figure.get_layout_engine():
@@ -100,7 +103,7 @@ def draw_values(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
         ax.set_title(style.wrap(part["panel"].iloc[0], 30, 90), fontsize=7.5)
         if several:
             ax.set_ylabel(style.wrap(_axis(part), 24), fontsize=7.5)
-    figure.supxlabel("mesh size (mm)")
+    figure.supxlabel(size)
     if not several:
         figure.supylabel(_axis(frame))
     return figure
@@ -130,7 +133,7 @@ def draw_errors(_cells: Sequence[Document], frame: pd.DataFrame) -> Canvas:
         y = start * 0.7**k * (h / h[0]) ** order
         ax.plot(h, y, color=style.RULE, linewidth=1.2, linestyle="--", zorder=0)
         ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=style.MUTED, va="center")
-    _logarithmic(ax, "mesh size (mm)", "distance to the limit, part of it")
+    _logarithmic(ax, MESH_SIZE, "distance to the limit, part of it")
     sizes = np.geomspace(frame["mesh_size"].min(), frame["mesh_size"].max(), 5)
     ax.set_xticks(sizes, [f"{size:.2g}" for size in sizes])
     return figure
@@ -209,8 +212,8 @@ def value_caption(cells: Sequence[Document], _frame: pd.DataFrame) -> str:
     more = f" {left} more series stand in the table." if left > 0 else ""
     has_limit = any(cell["extrapolated"] is not None for cell in cells)
     line = "; line and diamond: power law and its limit" * has_limit
-    bar = "; bar: interval of the finest mesh" * bool(good)
-    return f"{text}. Points: meshes{line}{bar}.{more}"
+    bar = "; bar: interval at the finest size" * bool(good)
+    return f"{text}. Points: sizes that were solved{line}{bar}.{more}"
 
 
 def error_caption(cells: Sequence[Document], _frame: pd.DataFrame) -> str:
@@ -223,7 +226,12 @@ def error_caption(cells: Sequence[Document], _frame: pd.DataFrame) -> str:
     return f"{text} Dashed: the formal order, limited by {why}." if why else text
 
 
-VALUES: style.Plot = ("Value against mesh size", value_points, draw_values, value_caption)
+def values_against(size: str = MESH_SIZE) -> style.Plot:
+    """Plot of the values against what was refined, named with its unit."""
+    title = f"Value against {size.partition(' (')[0]}"
+    return title, value_points, partial(draw_values, size), value_caption
+
+
 FRONT: style.Plot = (
     "Error against seconds",
     front_points,

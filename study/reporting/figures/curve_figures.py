@@ -417,10 +417,10 @@ def curves_caption(panels: CurvePanels, data: ReportData, frame: pd.DataFrame) -
     """Say what is drawn, what is held fixed, and how large the residuals are."""
     gap = (frame["predicted_N"] - frame["measured_N"]).abs()
     worst = frame.iloc[int(np.nanargmax(gap.to_numpy()))]
+    of = filter(None, (clean(worst["line"]), block_name(str(worst["block"]), data)))
     text = (
         "force above, predicted minus measured below; the largest residual is "
-        f"{quantity(gap.max(), 'N')} ({clean(worst['line'])}, "
-        f"{block_name(str(worst['block']), data)})"
+        f"{quantity(gap.max(), 'N')} ({', '.join(of)})"
     )
     if panels.is_relative:
         text += (

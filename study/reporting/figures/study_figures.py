@@ -41,7 +41,7 @@ from study.reporting.figures import (
 )
 from study.reporting.figures.axes import Plot, bound, figures_of, make
 from study.reporting.results.study_result import ReportData
-from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
+from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 
 _MOST_ROWS = 40
 _MOST_PANELS = 4
@@ -359,12 +359,18 @@ def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:
         "Every effect against what matters" if limited else "Every effect",
         lambda: effect_figures.against_limits(shown, data.labels),
         lambda frame: effect_figures.draw_against_limits(frame, shown),
-        lambda frame: _against_limits(frame, analyzed, shown),
+        lambda frame: _against_limits(frame, analyzed, shown, data),
     )
     return make("overview", plot)
 
 
-def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts]) -> str:
+#: part of the width of the figure that the mark of an effect covers
+_MARK = 0.02
+
+
+def _against_limits(
+    frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts], data: ReportData
+) -> str:
     """Count the effects on either side of what matters, and say what the marks are."""
     if frame["limited"].all():
         verdicts = frame.loc[frame["verdict"] != "", "verdict"].tolist()
@@ -382,7 +388,20 @@ def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Seque
     else:
         parts = ["no smallest difference that matters was given, so no effect has a verdict"]
     if (frame["bound"] > 0).any():
-        parts.append("thin ends: mesh error")
+        parts.append(f"thin ends: {data.refinement.name} error")
+    # an interval that would allow a claim says why there is none
+    beyond = frame[(frame["verdict"] == CANNOT_TELL) & (frame["low"] > 1)]
+    for (response, term), names in beyond.groupby(["response", "term"], sort=False)["name"]:
+        (facts,) = (facts for facts in shown if facts.name == response)
+        why = next((e.why for e in facts.effects if e.term == term), "")
+        if why:
+            name = term_name(str(term), data.labels)
+            where = "" if names.iloc[0] == name else f" {names.iloc[0]}"
+            parts.append(f"{name}{where} lies beyond what matters, but {why}")
+    width = frame["high"].max() - min(frame["low"].min(), 0.0)
+    if data.blocks and (frame["high"] - frame["low"] < _MARK * width).any():
+        block = clean(data.block) or "block"
+        parts.append(f"no thick bar: the difference is nearly the same in every {block}")
     left = [facts.title for facts in analyzed if facts not in shown]
     if left:
         parts.append(f"not drawn, on the second page: {listing(left)}")
@@ -403,8 +422,9 @@ def of_study(data: ReportData) -> dict[str, Figure]:
     marked = (document for case in data.markers for document in case.markers)
     if any(fit["error_by_layer_mm"] for document in marked for fit in document["fits"]):
         plots["markers"] = bound(curve_figures.MARKERS, data)
-    if data.convergence:
-        plots["convergence"] = bound(convergence_figures.VALUES, data.convergence)
+    if data.refinement.series:
+        plot = convergence_figures.values_against(data.refinement.size)
+        plots["convergence"] = bound(plot, data.refinement.series)
     if data.validation:
         # the first block stands for the others
         rows = [row for row in data.validation if row["block"] == data.validation[0]["block"]]

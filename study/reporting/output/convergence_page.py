@@ -72,7 +72,7 @@ def convergence_plots(
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
     plots: dict[str, Plot] = {}
     if shown:
-        plots["values"] = bound(convergence.VALUES, shown)
+        plots["values"] = bound(convergence.values_against(), shown)
     if any(cell["extrapolated"] is not None for cell in shown):
         plots["errors"] = bound(convergence.ERRORS, shown)
     plots |= {f"front-{k}": bound(convergence.FRONT, front) for k, front in enumerate(fronts, 1)}

@@ -29,6 +29,7 @@ from study.reporting.content.text import (
     level,
     p_phrase,
     quantity,
+    sentence,
     share,
     significant,
 )
@@ -156,7 +157,7 @@ def _tracker_distance(distance: DistanceResult, alpha: float) -> Iterator[str]:
     if isinstance(distance.comparison, AnalysisResult) and distance.comparison.effects:
         effect = distance.comparison.effects[0]
         text = f"Stages differ by up to {quantity(effect.range, 'mm')} ({p_phrase(effect.p)})"
-        yield f"{text}: {effect.verdict}; {distance.comparison_note}."
+        yield f"{text}; verdict: {effect.verdict}. {sentence(distance.comparison_note)}"
     else:
         yield f"Stages are not compared: {distance.comparison_note}."
     if distance.drift is not None:

@@ -92,7 +92,7 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
         *middle,
         *_expected(data, all_facts),
         *_beside(data),
-        *_assumptions(parts),
+        *_assumptions(data, parts),
         *_specimens(data, of_all),
         *_failures(data, of_all),
         *_cost(data, parts),
@@ -347,8 +347,8 @@ def _checks(data: ReportData, all_facts: Sequence[Facts], figures: Figures) -> B
     yield Heading("Numerical credibility", 2, "numerics")
     if data.numerical:
         yield Sentence(
-            "How far the answer still depends on the mesh. U, the bound of this error for a "
-            "difference, is added to both ends of its interval."
+            f"How far the answer still depends on the {data.refinement.name}. U, the bound of this "
+            "error for a difference, is added to both ends of its interval."
         )
         yield tables.numerical(data.numerical, data)
     else:
@@ -434,11 +434,12 @@ def _beside(data: ReportData) -> Iterator[Block]:
     yield from comparison_content.beside_blocks(data.beside, data.labels)
 
 
-def _assumptions(parts: Sequence[tuple[Facts, Figures]]) -> Blocks:
+def _assumptions(data: ReportData, parts: Sequence[tuple[Facts, Figures]]) -> Blocks:
     blocks: list[Block] = []
     for item, figures in parts:
         if item.result is not None and item.terms:
-            table = analysis_content.checks(item.result, f"tests of assumptions {item.name}")
+            name = f"tests of assumptions {item.name}"
+            table = analysis_content.checks(item.result, name, data.labels)
             shown = [block for block in (table, *drawn(figures, "residuals", "spread")) if block]
             blocks += [Heading(capital(item.title)), *shown] if shown else []
     if blocks:

@@ -131,6 +131,16 @@ class Check:
     of: str = ""
 
 
+@dataclass(frozen=True)
+class RefinedSize:
+    """What was refined, the mesh or a parameter of a program, its size with the unit, and how."""
+
+    name: str = "mesh"
+    size: str = "mesh size (mm)"
+    #: Series of three meshes or more, as ``study converge --json`` gives them.
+    series: tuple[Mapping[str, Any], ...] = ()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Findings:
     """What was computed of a study or of a table, and what stands beside it."""
@@ -179,8 +189,7 @@ class ReportData(Findings):
     #: Checks that the runner made (store, stability, ...); those of the analysis are added by the
     #: report.
     checks: tuple[Check, ...] = ()
-    #: Series of three meshes or more, as ``study converge --json`` gives them.
-    convergence: tuple[Mapping[str, Any], ...] = ()
+    refinement: RefinedSize = RefinedSize()
     #: Main effects with the test scored to less of its depth.
     depths: tuple[DepthEffect, ...] = ()
     controls: tuple[Check, ...] = ()
