@@ -157,8 +157,8 @@ def condition(
         places, force = rules.grid(), _resample(d, f, rules, where, counts)
     # the specimen was met before it carried the toe
     slope = _start(d, f)[3] if rules.spec.toe else 0.0
-    early = rules.spec.toe / slope if rules.spec.toe and slope > 0 else 0.0
-    return SingleTest(places, force, recorded, specimen, inside, counts, zero, toe, offset, early)
+    toe_way = rules.spec.toe / slope if rules.spec.toe and slope > 0 else 0.0
+    return SingleTest(places, force, recorded, specimen, inside, counts, zero, toe, offset, toe_way)
 
 
 def _rows_of(phases: Sequence[Phase], d: Array, f: Array) -> tuple[Array, Array]:
