@@ -670,13 +670,13 @@ def test_a_treatment_that_acts_on_in_a_crossover_is_no_effect_of_the_treatments(
     table = pd.DataFrame(rows, columns=["subject", "period", "treat", "y"])
     treat = analyzed(table, ["treat"], block=["subject", "period"], practical=0.8).effect("treat")
     assert treat.ci95[0] > 0.8
-    assert (treat.verdict, "may act on in the next" in treat.why) == (CANNOT_TELL, True)
+    assert (treat.verdict, "may carry over into the next" in treat.why) == (CANNOT_TELL, True)
     table["y"] -= 3.0 * ((table["period"] == 1) & (table["treat"] == "B"))
     clean = table.assign(y=table["y"] + 2.0 * (table["treat"] == "B"))
     clean = analyzed(clean, ["treat"], block=["subject", "period"], practical=0.8)
     treat = clean.effect("treat")
-    # twelve subjects hardly tell whether a treatment acts on, so the claim names what it rests on
-    condition = "if no treat acts on in the next period"
+    # twelve subjects hardly tell whether a treatment carries over: the claim names its condition
+    condition = "if no effect of treat carries over into the next period"
     assert (treat.verdict, treat.condition) == (MATTERS, condition)
     assert condition in treat.to_json()["why"]
     (named,) = contrasts(clean, "treat=B - treat=A")
@@ -708,6 +708,10 @@ def test_a_drift_over_the_rows_is_named_with_what_it_explains():
     (note,) = (note for note in analyzed(table, "a").notes if "drifts" in note)
     explained, difference = map(float, re.search(r"be (\S+) of (\S+) \(a\)", note).groups())
     assert (explained, difference) == pytest.approx((1.0, 1.0), abs=0.15)
+    effect = analyzed(table, "a", practical=0.5).effect("a")
+    assert (effect.verdict, "without the drift" in effect.why) == (CANNOT_TELL, True)
+    table["y"] += 2.0 * table["a"]
+    assert analyzed(table, "a", practical=0.5).effect("a").verdict == MATTERS
 
 
 @pytest.mark.parametrize(("name", "refused"), [("batch", True), ("Lot no", True), ("heat", False)])

@@ -23,6 +23,7 @@ from study.statistics.analysis.equal_variance import (
     levene,
     welch_tests,
 )
+from study.statistics.analysis.gate import drift_over_rows
 from study.statistics.analysis.linear_model import (
     Factorization,
     Term,
@@ -46,7 +47,6 @@ from study.statistics.analysis.sums_of_squares import (
     Factored,
     FRatioTest,
     TwoWayFit,
-    extra_sum,
     factor,
     fitted,
     influential,
@@ -83,22 +83,12 @@ def assumptions_of(out: AnalysisResult) -> AnalysisResult:
     return replace(out, assumptions=tests)
 
 
-#: p of a trend over the rows below which it is named: so many tables without one are, too
-_TREND = 0.01
-
-
 def _drift(out: AnalysisResult, fit: Factored | TwoWayFit) -> list[str]:
     """Say what of the differences a drift over the rows explains, where residuals show one."""
-    rows = out.data.rows - out.data.rows.mean()
-    along = rows - fit.projected(rows)
-    square = float(along @ along)
-    if out.replicates != "runs" or square <= 1e-6 * float(rows @ rows):
+    drift = drift_over_rows(out, fit)
+    if drift is None:
         return []
-    slope = float(along @ fit.residual) / square
-    explained = slope**2 * square
-    test = extra_sum(explained, 1, fit.rss - explained, fit.df_residual - 1)
-    if test is None or test.p >= _TREND:
-        return []
+    rows, slope, test = drift.rows, drift.slope, drift.test
     shares = []
     for effect in out.effects if not out.request.scale.is_log else ():
         if effect.is_main and effect.largest and effect.range:

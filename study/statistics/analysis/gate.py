@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Container, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -53,7 +53,14 @@ from study.statistics.analysis.simple_effects import (
     Estimates,
     Sample,
 )
-from study.statistics.analysis.sums_of_squares import Factored, extra_sum, factor, over_blocks
+from study.statistics.analysis.sums_of_squares import (
+    Factored,
+    FRatioTest,
+    TwoWayFit,
+    extra_sum,
+    factor,
+    over_blocks,
+)
 from study.statistics.analysis.unreplicated import (
     added_contrasts,
     lenth,
@@ -225,7 +232,7 @@ def rivals_of_rows(
     means = out.y.mean() + fit.residual if out.data.block is None else block_means(out.data, out.y)
     if out.replicates != "noise" and not out.request.records:
         rivals += limit_rivals(out.request.scale, confidence.alpha, sample, means)
-    return rivals + _rival_of_rows(out, fit)
+    return rivals + _rival_of_rows(out, fit) + _rival_of_drift(out, fit, rss, df)
 
 
 def rivals_of_contrasts(out: AnalysisResult, fit: Factored, contrasts: Array) -> list[Rival]:
@@ -333,6 +340,60 @@ def _rival_of_rows(out: AnalysisResult, fit: Factored) -> list[Rival]:
         note = f"of the interactions declared negligible, {largest} {seen}: {p_phrase(min(1.0, p))}"
         sample = with_pseudo_error(whole, contrasts, confidence, out.y)
     return [rival_of_lack(note, p, sample, whole.matrix)]
+
+
+#: p of a trend over the rows below which it counts: so many tables without one have it, too
+_TREND = 0.01
+
+
+@dataclass(frozen=True)
+class RowDrift:
+    """Straight line over the rows of a table, of weight if they stand in the order of the runs."""
+
+    #: shape (n,); numbers of the rows about their mean, and what of them the model leaves.
+    rows: Array
+    along: Array
+    slope: float
+    test: FRatioTest
+
+
+def drift_over_rows(out: AnalysisResult, fit: Factored | TwoWayFit) -> RowDrift | None:
+    """RowDrift of the residuals; None where there is none, or rows are no runs."""
+    rows = out.data.rows - out.data.rows.mean()
+    along = rows - fit.projected(rows)
+    square = float(along @ along)
+    if out.replicates != "runs" or square <= 1e-6 * float(rows @ rows):
+        return None
+    slope = float(along @ fit.residual) / square
+    explained = slope**2 * square
+    test = extra_sum(explained, 1, fit.rss - explained, fit.df_residual - 1)
+    return None if test is None or test.p >= _TREND else RowDrift(rows, along, slope, test)
+
+
+def _rival_of_drift(out: AnalysisResult, fit: Factored, rss: float, df: float) -> list[Rival]:
+    """Rival with the number of the row as a covariate, where the residuals drift."""
+    drift = drift_over_rows(out, fit)
+    if drift is None or df <= 1:
+        return []
+    square = float(drift.along @ drift.along)
+    left = rss - drift.slope**2 * square
+    printed = with_pooled_error(fit, left, df - 1, out.request.confidence)
+    # what the model gives for the number of the row
+    explained = fit.inverse @ (fit.q.T @ drift.rows)
+
+    def estimate(differences: Differences) -> Estimates:
+        estimates, apart = printed(differences), differences.of(differences.settings @ explained)
+        if estimates.error is None:
+            return estimates
+        of_slope = np.abs(apart) * math.sqrt(left / (df - 1) / square)
+        return replace(
+            estimates,
+            value=estimates.value - drift.slope * apart,
+            error=np.hypot(estimates.error, of_slope),
+        )
+
+    why = "the response drifts over the rows: without the drift the interval does not allow it"
+    return [Rival(why, estimate)]
 
 
 def _one_df_directions(out: AnalysisResult) -> tuple[Factored, list[str], Array, int]:

@@ -527,10 +527,10 @@ def _rivals_of_carry_over(
     test = fit.test(basis)
     seen = f"{test.words}, between {subject}s"
     if test.p >= _ACTS_ON:
-        condition = f"if no {name} acts on in the next {period}"
+        condition = f"if no effect of {name} carries over into the next {period}"
         note = f"claims hold only {condition}, which these rows hardly tell ({seen})"
         return [Rival("", cells.sample, claims=(), note=note, condition=condition)]
-    note = f"{name} of the {period} before may act on in the next ({seen})"
+    note = f"the effect of {name} may carry over into the next {period} ({seen})"
     with_carry_over = replace(cells, fit=fit, fixed=fixed, factors=bare, robust=None)
     why = f"{note}: without what it carries over the interval does not allow the claim"
     return [Rival(why, with_carry_over.sample, matrix=bare, note=note)]
