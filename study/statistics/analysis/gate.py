@@ -358,7 +358,7 @@ class RowDrift:
 
 
 def drift_over_rows(out: AnalysisResult, fit: Factored | TwoWayFit) -> RowDrift | None:
-    """RowDrift of the residuals; None where there is none, or rows are no runs."""
+    """Drift of the residuals; None where there is none, or rows are no runs."""
     rows = out.data.rows - out.data.rows.mean()
     along = rows - fit.projected(rows)
     square = float(along @ along)
