@@ -712,6 +712,11 @@ def test_a_drift_over_the_rows_is_named_with_what_it_explains():
     assert (effect.verdict, "without the drift" in effect.why) == (CANNOT_TELL, True)
     table["y"] += 2.0 * table["a"]
     assert analyzed(table, "a", practical=0.5).effect("a").verdict == MATTERS
+    # a table that was sorted by the response has no order of runs
+    still = pd.DataFrame({"a": np.repeat([0, 1], 10), "y": random.normal(0, 0.1, 20)})
+    still["y"] += still["a"]
+    for rows in (still, still.sort_values(["a", "y"])):
+        assert analyzed(rows, "a", practical=0.5).effect("a").verdict == MATTERS
 
 
 @pytest.mark.parametrize(("name", "refused"), [("batch", True), ("Lot no", True), ("heat", False)])
