@@ -62,8 +62,17 @@ def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bo
     return opened(results_folder(path, results), tell_unfinished=tell_unfinished)
 
 
-def opened(folder: Path, ended: Work | None = None, *, tell_unfinished: bool = True) -> Study:
-    """Open a study; of a run that has just ended neither design nor cases are made again."""
+def opened(
+    folder: Path,
+    ended: Work | None = None,
+    *,
+    tell_unfinished: bool = True,
+    fits_surfaces: bool = True,
+) -> Study:
+    """Open a study; of a run that has just ended neither design nor cases are made again.
+
+    Surfaces and their indices are nearly all of the time that this takes, where there are any.
+    """
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
     manifest = finished_manifest(store)
@@ -94,7 +103,8 @@ def opened(folder: Path, ended: Work | None = None, *, tell_unfinished: bool = T
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused not in ("", SEE_SURFACE)]
     has_confirmed = (folder / f"{CONFIRMED}.json").exists()
     more = joined(design, store, manifest) if has_confirmed else ()
-    fitted = record_analysis.surfaces(design, [*records, *more], numerical)
+    runs = [*records, *more]
+    fitted = record_analysis.surfaces(design, runs, numerical) if fits_surfaces else ()
     if more:
         warnings.append(f"{len(more)} confirming runs joined those of the surfaces")
     warnings += [f"{surface.response}: {surface.refused}" for surface in fitted if surface.refused]

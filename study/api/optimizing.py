@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.api.opened_study import opened as opened_folder
 from study.api.predicting import (
     Permission,
     Setting,
@@ -24,7 +25,7 @@ from study.api.predicting import (
 from study.ground import tabular, units
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
-from study.harness.design.load import RESULTS
+from study.harness.design.load import RESULTS, results_folder
 from study.harness.design.questions import usual_value
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.record_analysis import at_levels, coded_settings
@@ -439,7 +440,9 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     RefusedError
         If the emulator does not predict left-out curves (a Q2 below .9), or no curve agrees.
     """
-    study = opened(path, results)
+    if isinstance(path, str | Path):  # it rests on an emulator of curves, and on no surface
+        path = opened_folder(results_folder(path, results), fits_surfaces=False)
+    study = path
     numbers, labels = _known(study, dict(at or {}))
     whole = _read(Path(to), columns, in_units, decimal)
     more = joined(study.design, Store(study.folder), study.manifest)

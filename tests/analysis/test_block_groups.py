@@ -65,7 +65,7 @@ def test_groups_of_two_share_one_covariance_and_say_so():
     assert "Welch-Box" in analyzed(two_mixes((3, 6))).error_term.reason
 
 
-@pytest.mark.parametrize("tables", [20, pytest.param(2000, marks=FULL)], ids=["quick", "full"])
+@pytest.mark.parametrize("tables", [10, pytest.param(2000, marks=FULL)], ids=["quick", "full"])
 @pytest.mark.parametrize("sizes", [(5, 5, 5), (3, 4, 8)])
 def test_size_and_coverage_with_unequal_spread(sizes, tables):
     """The true effects are zero; limits are those of the specification with 3 standard errors."""

@@ -19,7 +19,7 @@ TABLE = pd.DataFrame(
 
 
 @pytest.mark.parametrize(
-    ("seeds", "fewest"), [(3, 1), pytest.param(16, 3, marks=[pytest.mark.slow, pytest.mark.verify])]
+    ("seeds", "fewest"), [([2], 1), pytest.param(range(16), 3, marks=pytest.mark.slow)]
 )
 def test_the_quick_analysis_claims_no_more(seeds, fewest):
     """Blocks without which a claim falls are those of the exact analysis, table by table."""
@@ -28,7 +28,7 @@ def test_the_quick_analysis_claims_no_more(seeds, fewest):
         scale=ResponseScale(practical=Threshold(0.4)), exact=False,
     )  # fmt: skip
     differs = 0
-    for seed in range(seeds):
+    for seed in seeds:
         noise = np.random.default_rng(seed).normal(0, 0.35, len(TABLE))
         table = TABLE.assign(y=(TABLE["A"] == "h") + noise)
         whole = analyze(table, asked)

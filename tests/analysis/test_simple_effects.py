@@ -191,7 +191,7 @@ ALL = [(k, b, e) for k in (2, 4) for b in (5, 6, 9) for e in ERRORS]
     ("case", "n", "error"),
     [
         # 3 standard errors of a rate of .95 or .03
-        *((Case(*case), 100, 0.06) for case in FEW),
+        *((Case(*case), 40, 0.1) for case in FEW),
         *(pytest.param(Case(*case), 1000, 0.0, marks=[pytest.mark.slow, pytest.mark.verify])
           for case in ALL),
     ],

@@ -84,10 +84,10 @@ def test_as_many_points_as_constants():
 
 @pytest.mark.parametrize(
     ("fits", "apart"),
-    [(500, 0.02), pytest.param(5000, 0.008, marks=LONG)],
+    [(200, 0.03), pytest.param(5000, 0.008, marks=LONG)],
 )
 def test_coverage_of_intervals(fits, apart):
-    """V42: two binomial standard deviations of 500 fits are 2 points."""
+    """V42: two binomial standard deviations of 200 fits are 3 points."""
     true, noise = np.array([7e-3, 1e-3]), 5e-3
     predict, d = predictor(*RP2, depth=9.0, points=30)
     clean = predict(true)[0].force_N

@@ -20,6 +20,13 @@ distributed = pytest.importorskip("distributed", reason="Dask is not installed (
 dask = pytest.importorskip("dask", reason="Dask is not installed (extra 'dask')")
 
 
+@pytest.fixture(autouse=True)
+def _looks_are_frequent_and_farewells_short(monkeypatch):
+    """A worker that comes or goes is noticed sooner, and one that hangs is not waited for."""
+    monkeypatch.setattr("study.execution.cluster.LOOK_S", 0.1)
+    monkeypatch.setattr("study.execution.cluster.FAREWELL_S", 1.0)
+
+
 def run(where, tasks, **options):
     return {o.key: o for o in Cluster(perform, where.file, **options).run(tasks)}
 
@@ -57,7 +64,7 @@ def test_what_is_lost_with_workers_and_with_the_scheduler(tmp_path):
     hangs holds nobody, and what is finished before the scheduler goes is kept.
     """
     with loopback(tmp_path) as made:
-        tasks = [task(str(k), "process") for k in range(40)]
+        tasks = [task(str(k), "process") for k in range(20)]
         seen = {}
         for outcome in Cluster(perform, made.file).run(tasks):
             seen[outcome.key] = outcome
@@ -135,9 +142,8 @@ def test_a_study_waits_for_the_first_worker_and_a_later_one_gets_its_share(
         assert run(made, [task("a")])["a"].status == "converged"
         assert "waiting for a worker" in capsys.readouterr().err
         seen = set()
-        for outcome in Cluster(perform, made.file).run(
-            [task(str(k), "process") for k in range(99)]
-        ):
+        tasks = [task(str(k), "process") for k in range(20)]
+        for outcome in Cluster(perform, made.file).run(tasks):
             seen.add(outcome.result["process"])
             if len(made.workers) == 1:
                 made.start_worker()
@@ -153,7 +159,7 @@ def test_a_study_waits_for_the_first_worker_and_a_later_one_gets_its_share(
     ],
 )
 def test_a_scheduler_that_is_none_is_refused(place, said, monkeypatch):
-    monkeypatch.setattr("study.execution.cluster.PATIENCE_S", 1.0)
+    monkeypatch.setattr("study.execution.cluster.PATIENCE_S", 0.5)
     with pytest.raises(InputError, match=said):
         list(Cluster(perform, place).run([]))
 
@@ -209,13 +215,13 @@ def test_leaving_early_stops_the_tasks_of_this_run_alone(cluster, tmp_path):
     """Two studies on one cluster: the end of one is not that of the other."""
     slow = task("slow", "hang", mark=str(tmp_path / "mark"))
     mine = Cluster(perform, cluster.file, jobs=2).run([task("a"), slow])
-    other = Cluster(perform, cluster.file, jobs=2).run([task(str(k), "process") for k in range(30)])
+    other = Cluster(perform, cluster.file, jobs=2).run([task(str(k), "process") for k in range(12)])
     found = [next(other)]
     assert next(mine).key == "a"
     until(lambda: begun(tmp_path / "mark"))
     mine.close()
     found += list(other)
-    assert len(found) == 30
+    assert len(found) == 12
     assert {outcome.status for outcome in found} == {"converged"}
     # a worker that has nothing to do has no process left, ours nor theirs
     until(lambda: not worker_processes(cluster))

@@ -218,7 +218,7 @@ NEEDS_PROC = pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="n
 def test_all_that_a_program_leaves_behind_ends_with_it(tmp_path, end):
     """In its own process group and in another session, whether it answers, fails or is late."""
     text = LEAVES.format(place=str(tmp_path / "pid")) + WRITES.format(CURVE) + end
-    made = script(text, timeout_s=5.0 if "sleep" in end else None)
+    made = script(text, timeout_s=2.0 if "sleep" in end else None)
     if end:
         assert refusal(made).status == ("timeout" if "sleep" in end else "failed")
     else:

@@ -331,10 +331,11 @@ def flat_specimen(x):
     return np.asarray(np.pi * radius**2 * 2 * c10 * (stretch**-2 - stretch))
 
 
-def test_extremes_lie_in_corners_and_inside_their_intervals():
+@pytest.mark.parametrize(("last", "fewest"), [(3, 6), pytest.param(6, 11, marks=pytest.mark.slow)])
+def test_extremes_lie_in_corners_and_inside_their_intervals(last, fewest):
     ends = {True: np.array([[1.0, -1.0, 1.0]]), False: np.array([[-1.0, 1.0, -1.0]])}
     inside = []
-    for seed in range(1, 7):
+    for seed in range(1, last + 1):
         x = functions.hypercube(3, 60, seed)
         found = fit_emulator(functions.unit_runs(x, flat_specimen(x)))
         for coded in ends.values():
@@ -342,7 +343,7 @@ def test_extremes_lie_in_corners_and_inside_their_intervals():
             inside.append(abs(value - flat_specimen(0.5 * (coded + 1)))[0] <= half[0])
         # and the interval is still one that says something
         assert half[0] < 0.02 * np.ptp(found.runs.response)
-    assert sum(inside) >= 11  # of twelve; six where the other kernel did not count
+    assert sum(inside) >= fewest  # of two a seed; half where the other kernel did not count
 
 
 def test_nothing_near_the_least_prediction_is_less():

@@ -84,7 +84,7 @@ def test_bonded_compression_with_elements(tmp_path):
     assert document["minima"][0]["parameters"]["mu1"] == pytest.approx(14.0, rel=0.1)
 
 
-@pytest.mark.parametrize("draw", [3, 44])
+@pytest.mark.parametrize("draw", [44, pytest.param(3, marks=pytest.mark.slow)])
 def test_minima_are_compared_by_the_interpolation_of_their_ends(tmp_path, draw):
     """Of draw 3 the true minimum was too far by interpolation, of draw 44 it ended at a kink."""
     d, force = true_curve("bonded", 14.0, -15.0)

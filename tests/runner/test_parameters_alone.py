@@ -221,7 +221,6 @@ def test_numbers_of_a_table_that_a_program_writes_are_read_whole(tmp_path, monke
     assert [record.value("peak") for record in found] == list(tables.values()), found
 
 
-@pytest.mark.drawings
 def test_a_report_agrees_with_its_records_whatever_run_wrote_it(tmp_path):
     """The order of keys in the file, and what the run warned of, are no difference of numbers."""
     design = program(tmp_path)

@@ -377,8 +377,9 @@ def test_two_commands_lead_from_nothing_to_the_page(tmp_path):
     assert low < told["errors"]["scale"] < high
 
 
-def test_intervals_hold_what_was_put_in_95_times_of_100(tmp_path):
-    declared, held, studies = load_tracking(DESIGN), np.zeros(4), 20
+@pytest.mark.parametrize("studies", [10, pytest.param(20, marks=pytest.mark.slow)])
+def test_intervals_hold_what_was_put_in_95_times_of_100(tmp_path, studies):
+    declared, held = load_tracking(DESIGN), np.zeros(4)
     for seed in range(studies):
         errors = replace(Errors(seed), samples=10)
         write_recording(declared, tmp_path, errors)
