@@ -14,7 +14,7 @@ from study.reporting.content import (
     surface_content,
 )
 from study.reporting.content.report_facts import Facts, facts
-from study.reporting.content.sentences import cheaper, recommendation, would_change
+from study.reporting.content.sentences import cheaper, recommendation, recommendations, would_change
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import AnalysisResult, Assumptions
@@ -227,6 +227,13 @@ def test_recommendation_takes_the_cheapest_within_what_matters(data):
     assert text.startswith("Use reduced-polynomial-3, frictionless")
     assert "less than the 0.5 pp that matters" in text
     assert "8.3 min" in text
+
+
+def test_the_fastest_cell_is_not_recommended_against_the_one_within_what_matters(data):
+    error = facts(data)[0]
+    time = replace(error, name="seconds")
+    assert recommendations(data, [time, error]) == (recommendation(data, error),)
+    assert len(recommendations(data, [time])) == 1
 
 
 def test_without_computing_times_the_best_cell_is_recommended(data):

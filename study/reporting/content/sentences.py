@@ -479,12 +479,11 @@ def cost_front(
 
 
 def recommendations(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
-    """Recommendation of every response that has a better end and an answer."""
-    return tuple(
-        recommendation(data, facts)
-        for facts in all_facts
-        if facts.terms and facts.better and data.table[facts.name].notna().any()
-    )
+    """Recommendation of every response that has a better end: time is weighed in the others'."""
+    ended = [facts for facts in all_facts if facts.terms and facts.better]
+    answered = [facts for facts in ended if data.table[facts.name].notna().any()]
+    others = [facts for facts in answered if facts.name != "seconds"]
+    return tuple(recommendation(data, facts) for facts in others or answered)
 
 
 def recommendation(data: ReportData, facts: Facts) -> str:

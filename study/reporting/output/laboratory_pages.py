@@ -130,16 +130,21 @@ def _marker_table(markers: MarkerDeviation) -> Table:
 
 def tracker_answers(accuracy: TrackerAccuracy) -> Iterator[str]:
     """Say in a few sentences what was found."""
-    yield f"{count(accuracy.samples, 'sample')} of {count(accuracy.markers, 'marker')}."
     if accuracy.distance is not None:
         yield from _tracker_distance(accuracy.distance, accuracy.alpha)
     if accuracy.displacement is not None:
         yield from _tracker_displacement(accuracy.displacement, accuracy.alpha)
     if accuracy.reference is not None:
         yield from _reference(accuracy.reference)
+    yield f"{count(accuracy.samples, 'sample')} of {count(accuracy.markers, 'marker')}."
 
 
 def _tracker_distance(distance: DistanceResult, alpha: float) -> Iterator[str]:
+    compared = distance.comparison
+    effects = compared.effects if isinstance(compared, AnalysisResult) else ()
+    for effect in effects[:1]:
+        text = f"Stages differ by up to {quantity(effect.range, 'mm')} ({p_phrase(effect.p)})"
+        yield f"{text}; verdict: {effect.verdict}. {sentence(distance.comparison_note)}"
     names = " and ".join(distance.markers)
     if distance.standard is not None and distance.bias_mm is not None:
         text = (
@@ -154,11 +159,7 @@ def _tracker_distance(distance: DistanceResult, alpha: float) -> Iterator[str]:
             clear = "more than chance explains" if low > 0 or high < 0 else "within chance"
             ends = f"{level(alpha)} interval {interval(low, high, 'mm')}"
             yield f"{text}, {ends}: {clear}."
-    if isinstance(distance.comparison, AnalysisResult) and distance.comparison.effects:
-        effect = distance.comparison.effects[0]
-        text = f"Stages differ by up to {quantity(effect.range, 'mm')} ({p_phrase(effect.p)})"
-        yield f"{text}; verdict: {effect.verdict}. {sentence(distance.comparison_note)}"
-    else:
+    if not effects:
         yield f"Stages are not compared: {distance.comparison_note}."
     if distance.drift is not None:
         ends = interval(*distance.drift.interval, distance.drift.unit)
