@@ -516,9 +516,12 @@ def _checks_of_fits(
         counts = [f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows"]
         counts += [count(len(doubtful), "is doubtful", "are doubtful")] * bool(doubtful)
         counts += [count(len(bad), "does not", "do not")] * bool(bad)
-        # the counts hold the verdict: two of its reasons follow, of several for every curve
+        # the counts hold the verdict: reasons of two kinds follow, of several for every curve
         reason = misfits[first["key"]].partition("the data: ")[2]
-        reason = "; ".join(reason.removeprefix("use no constant of it: ").split("; ")[:2])
+        kinds: dict[str, str] = {}
+        for each in reason.removeprefix("use no constant of it: ").split("; "):
+            kinds.setdefault(re.sub(r"[-\d.]+", "", each)[:30], each)
+        reason = "; ".join([*kinds.values()][:2])
         where = f", for example that of {name}" if name else ""
         where += ", " if reason.startswith("curve ") else ": "
         finding = f"{listing(counts)}{where}{reason}"
