@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.api.opened_study import opened as opened_folder
 from study.api.predicting import (
     Permission,
     Setting,
@@ -25,7 +24,7 @@ from study.api.predicting import (
 from study.ground import tabular, units
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
-from study.harness.design.load import RESULTS, results_folder
+from study.harness.design.load import RESULTS
 from study.harness.design.questions import usual_value
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.record_analysis import at_levels, coded_settings
@@ -440,9 +439,8 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     RefusedError
         If the emulator does not predict left-out curves (a Q2 below .9), or no curve agrees.
     """
-    if isinstance(path, str | Path):  # it rests on an emulator of curves, and on no surface
-        path = opened_folder(results_folder(path, results), fits_surfaces=False)
-    study = path
+    # it rests on an emulator of curves, and on no surface
+    study = opened(path, results, fits_surfaces=False)
     numbers, labels = _known(study, dict(at or {}))
     whole = _read(Path(to), columns, in_units, decimal)
     more = joined(study.design, Store(study.folder), study.manifest)

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, TypedDict, Unpack, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study import api
+from study.api import opened_study
 from study.ground import tabular, units
 from study.ground.errors import Fault, InputError, RefusedError, nearest
-from study.harness.design.load import RESULTS, design_root
+from study.harness.design.load import RESULTS, design_root, results_folder
 from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress
@@ -93,9 +93,11 @@ def predict(
     )
 
 
-def opened(path: str | Path | Study, results: str | Path) -> Study:
+def opened(path: str | Path | Study, results: str | Path, *, fits_surfaces: bool = True) -> Study:
     """Study that a verb is asked about, whether by its place or by itself."""
-    return api.load(path, results) if isinstance(path, str | Path) else path
+    if not isinstance(path, str | Path):
+        return path
+    return opened_study.opened(results_folder(path, results), fits_surfaces=fits_surfaces)
 
 
 def given(

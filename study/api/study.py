@@ -233,7 +233,8 @@ def _confirmed(store: Store, may: Permission) -> list[str]:
                 where = ", ".join(f"{k} {v}" for k, v in {**number, **surface.labels}.items())
                 lost = [r.message for r in may.confirm(unconfirmed, at) if not r.converged]
                 count += where not in failed
-                failed |= dict.fromkeys([where] * bool(lost), lost[0] if lost else "")
+                if lost:
+                    failed[where] = lost[0]
         if not count:
             break
     why = "a confirming run failed, so what it would confirm stays open"

@@ -364,15 +364,16 @@ def drift_over_rows(out: AnalysisResult, fit: Factored | TwoWayFit) -> RowDrift 
     square = float(along @ along)
     if out.replicates != "runs" or square <= 1e-6 * float(rows @ rows):
         return None
-    # a table that was sorted by the response within its cells is no longer in the order of its runs
-    order = np.argsort(out.data.cell, kind="stable")
-    steps = np.diff(out.y[order])[np.diff(out.data.cell[order]) == 0]
-    if (steps >= 0).all() or (steps <= 0).all():
-        return None
     slope = float(along @ fit.residual) / square
     explained = slope**2 * square
     test = extra_sum(explained, 1, fit.rss - explained, fit.df_residual - 1)
-    return None if test is None or test.p >= _TREND else RowDrift(rows, along, slope, test)
+    if test is None or test.p >= _TREND:
+        return None
+    # a table that was sorted by the response within its cells is no longer in the order of its runs
+    order = np.argsort(out.data.cell, kind="stable")
+    steps = np.diff(out.y[order])[np.diff(out.data.cell[order]) == 0]
+    is_sorted = (steps >= 0).all() or (steps <= 0).all()
+    return None if is_sorted else RowDrift(rows, along, slope, test)
 
 
 def _rival_of_drift(out: AnalysisResult, fit: Factored, rss: float, df: float) -> list[Rival]:
