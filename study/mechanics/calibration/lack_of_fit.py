@@ -291,8 +291,8 @@ class _Recording:
             return np.zeros(0, dtype=int)
         size = np.abs(noise.distance * noise.deviation)
         # of few rows growth with the force is seldom significant, and makes large forces look far
-        grown = row_noise(self.residual, self.rows.places, self.predicted_N, grows=0.0)
-        distance = size / np.maximum(noise.deviation, (grown or noise).deviation)
+        grown = noise.grown(self.predicted_N)
+        distance = size / np.maximum(noise.deviation, grown.deviation)
         # above the 99.9 % point of the largest distance in simulated noise: 14.3 of 8 rows, 9.6 of
         # 10, 6.7 of 20, 5.3 of 50 and 5.1 of 100 (2,000 to 6,000 draws each)
         is_far = distance > 6.0 + 400 / size.size**1.8
@@ -682,19 +682,22 @@ def _shift_of_one(recording: _Recording) -> str:
     """
     if (counted := recording.by_noise) is None:
         return ""
-    rows = counted[0].size
-    drift = _changed_by(recording, *counted, np.linspace(0, 1, rows))
-    zero = _changed_by(recording, *counted, np.ones(rows))
-    change = min(drift, zero, key=lambda each: each.p)
-    if change.p >= _CLEAR or change.share < _DRIFTS or not change.beyond > 1:
+    size, series = counted
+    columns = np.linspace(0, 1, size.size), np.ones(size.size)
+    changes = [_changed_by(recording, size, series, column) for column in columns]
+    if not any(change.share >= _DRIFTS and change.beyond > 1 for change in changes):
+        return ""
+    p, which = min((_p_of(series, size * column), k) for k, column in enumerate(columns))
+    change = changes[which]
+    if p >= _CLEAR or change.share < _DRIFTS or not change.beyond > 1:
         return ""
     does, mend = "with a zero that is off", 'write zero = "first" or "fit", or displacement_zero'
     mend = f"{mend} where the specimen was preloaded or met late"
-    if change is drift:
+    if which == 0:
         does, mend = "that drifts", "compare the load cell's readings before and after the test"
     return (
         f"{recording.label}: the residuals are those of a force {does} by "
-        f"{100 * change.share:.2g} % of its largest value ({p_phrase(change.p)}), which moves "
+        f"{100 * change.share:.2g} % of its largest value ({p_phrase(p)}), which moves "
         f"{change.constant} by {change.percent:.2g} %, beyond its interval: {mend}, or take "
         "another energy"
     )
@@ -704,8 +707,6 @@ def _shift_of_one(recording: _Recording) -> str:
 class _ChangedForce:
     """A change of the recorded force, and what it does to the constants."""
 
-    #: Of no such change.
-    p: float
     size_N: float  # noqa: N815
     #: Over the largest force.
     share: float
@@ -717,10 +718,9 @@ class _ChangedForce:
 
 def _changed_by(recording: _Recording, size: Array, series: Series, change: Array) -> _ChangedForce:
     """Fit a change of the force beside the constants; rows count by ``size``."""
-    fit, column = recording.fit, size * change
-    p, _ = trend([series], [column[:, None]], explained=_ROUNDING)
+    fit = recording.fit
     scale = np.linalg.norm(series.jacobian, axis=0)
-    both = np.column_stack([series.jacobian / scale, column])
+    both = np.column_stack([series.jacobian / scale, size * change])
     *shift, size_N = np.linalg.lstsq(both, -series.residual, rcond=None)[0]  # noqa: N806
     (free,) = np.nonzero(np.isfinite(fit.standard_error))
     moved = np.abs(np.array(shift) / scale)
@@ -729,9 +729,12 @@ def _changed_by(recording: _Recording, size: Array, series: Series, change: Arra
     most = int(beyond.argmax())
     percent = 100 * float(moved[most] / abs(fit.values[free[most]]))
     share = abs(float(size_N)) / float(np.abs(recording.rows.force_N).max())
-    return _ChangedForce(
-        p, float(size_N), share, fit.names[free[most]], percent, float(beyond[most])
-    )
+    return _ChangedForce(float(size_N), share, fit.names[free[most]], percent, float(beyond[most]))
+
+
+def _p_of(series: Series, column: Array) -> float:
+    """P that the residuals hold no column, shape (n,), beside the constants and a drift."""
+    return trend([series], [column[:, None]], explained=_ROUNDING)[0]
 
 
 def _step_of_one(recording: _Recording) -> tuple[str, float]:
@@ -753,9 +756,11 @@ def _step_of_one(recording: _Recording) -> tuple[str, float]:
     if level is None:
         return none
     step = _changed_by(recording, size, series, level)
-    p = -math.expm1(min(size.size, _MOST_PLACES) * math.log1p(-min(step.p, 0.5)))
-    p = max(p, _p_of_levels(series, size * level))
-    if p >= _CLEAR or step.share < _NAMED or not (step.share >= _OFF or step.beyond > 1):
+    if step.share < _NAMED or not (step.share >= _OFF or step.beyond > 1):
+        return none
+    p_here = min(_p_of(series, size * level), 0.5)
+    p = -math.expm1(min(size.size, _MOST_PLACES) * math.log1p(-p_here))
+    if p >= _CLEAR or (p := max(p, _p_of_levels(series, size * level))) >= _CLEAR:
         return none
     first, last = np.flatnonzero(level == 0)[-1], np.flatnonzero(level == 1)[0]
     d = recording.rows.displacement_mm
@@ -778,7 +783,7 @@ def _p_of_levels(series: Series, column: Array) -> float:
     both = np.column_stack([series.residual, series.jacobian, column])
     residual, *jacobian, summed = (np.add.reduceat(both, begins) / root).T
     slopes = np.array(jacobian)
-    return trend([Series(residual, slopes.T, slopes)], [summed[:, None]], explained=_ROUNDING)[0]
+    return _p_of(Series(residual, slopes.T, slopes), summed)
 
 
 def _best_level(size: Array, series: Series) -> tuple[Array | None, float]:

@@ -77,6 +77,20 @@ class RowNoise:
         size = math.sqrt(float(np.mean(self.deviation**2)))
         return np.ones_like(self.deviation) if self.power == 0 else self.deviation / size
 
+    @classmethod
+    def of(cls, distance: Array, force: Array, power: float | None, grows: float) -> RowNoise:
+        """Noise of rows by their distances from their neighbors' lines, in units of one row's."""
+        size = np.maximum(np.abs(force), _FLOOR * np.abs(force).max())
+        if power is None:
+            power = _power_of(distance, size, grows)
+        shape = (size / size.max()) ** power
+        deviation = _BY_MEDIAN * float(_median(np.abs(distance) / shape)) * shape
+        return cls(deviation, distance / deviation, power)
+
+    def grown(self, force: Array) -> RowNoise:
+        """Noise of the same rows where growth with the force need not be significant."""
+        return RowNoise.of(self.distance * self.deviation, force, None, 0.0)
+
 
 def row_noise(
     values: Array, places: Array, force: Array, power: float | None = None, grows: float = _GROWS
@@ -97,27 +111,29 @@ def row_noise(
     index = index + (index >= np.arange(n)[:, None])
     x, y = places[index], values[index]
     before, after = _PAIRS.T
-    slope = np.median((y[:, after] - y[:, before]) / (x[:, after] - x[:, before]), axis=1)
-    line = slope * places + np.median(y - slope[:, None] * x, axis=1)
+    slope = _median((y[:, after] - y[:, before]) / (x[:, after] - x[:, before]))
+    line = slope * places + _median(y - slope[:, None] * x)
     factor = np.full(n, _DISTANCE[-1])
     factor[:3], factor[-3:] = _DISTANCE[:3], _DISTANCE[2::-1]
     distance = (values - line) / factor
-    size = np.abs(force)
-    size = np.maximum(size, _FLOOR * size.max())
-    if not (np.median(np.abs(distance)) > _ROUNDING * np.abs(values).max() and size.max() > 0):
+    if not (_median(np.abs(distance)) > _ROUNDING * np.abs(values).max() and force.any()):
         return None
-    if power is None:
-        power = _power_of(distance, size, grows)
-    shape = (size / size.max()) ** power
-    deviation = _BY_MEDIAN * float(np.median(np.abs(distance) / shape)) * shape
-    return RowNoise(deviation, distance / deviation, power)
+    return RowNoise.of(distance, force, power, grows)
+
+
+def _median(values: Array) -> Array:
+    """Median along the last axis, in a fifth of the time of ``np.median`` for few numbers."""
+    middle, ordered = values.shape[-1] // 2, np.sort(values, axis=-1)
+    if values.shape[-1] % 2:
+        return np.asarray(ordered[..., middle])
+    return np.asarray(0.5 * (ordered[..., middle - 1] + ordered[..., middle]))
 
 
 def _power_of(distance: Array, size: Array, grows: float) -> float:
     """Power of the force with which distances grow; 0 where growth is not significant."""
     x = np.log(size)
     spread = float(x.std())
-    y = np.log(np.maximum(np.abs(distance), 1e-3 * np.median(np.abs(distance))))
+    y = np.log(np.maximum(np.abs(distance), 1e-3 * _median(np.abs(distance))))
     if spread < _ROUNDING:
         return 0.0
     slope = float((x - x.mean()) @ (y - y.mean())) / (x.size * spread**2)

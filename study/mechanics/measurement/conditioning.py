@@ -18,6 +18,7 @@ The rules are applied in this order, and every row they drop or change is counte
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -459,6 +460,20 @@ def slack_end(moved: Array, f: Array) -> float | None:
 
     Shapes: moved, f (rows,), mm, rising from the first row on, N.
     """
+    key = hashlib.blake2b(moved.tobytes() + f.tobytes()).digest()
+    if key not in _slack_ends:
+        if len(_slack_ends) >= _MOST_SLACK_ENDS:
+            _slack_ends.clear()
+        _slack_ends[key] = _searched_slack_end(moved, f)
+    return _slack_ends[key]
+
+
+#: places by the digest of the rows: they are asked for each range that is cut out of a recording
+_slack_ends: dict[bytes, float | None] = {}
+_MOST_SLACK_ENDS = 10_000
+
+
+def _searched_slack_end(moved: Array, f: Array) -> float | None:
     end = _corner_end(moved, f)
     travel = float(moved[int(np.argmax(f))] - moved[0])
     for start in moved[0] + _LONG_APPROACHES * travel:
