@@ -9,6 +9,7 @@ solve the multiplier takes up what the spring carried, so forces do not depend o
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -193,7 +194,7 @@ class ContactPoints:
 
     def stiffness(self, state: ContactState) -> Array:
         """Packed upper stiffness blocks, shape (n_points, m (m + 1) / 2)."""
-        rows, columns = np.triu_indices(state.direction.shape[1])
+        rows, columns = _upper_indices(state.direction.shape[1])
         spring = self.weights * np.where(state.active, self.eps, 0.0)
         blocks = spring[:, None] * state.direction[:, rows] * state.direction[:, columns]
         if state.hessian.any():
@@ -204,6 +205,10 @@ class ContactPoints:
             a, i, b, j = rows // dim, rows % dim, columns // dim, columns % dim
             blocks = blocks - self.shape[:, a] * self.shape[:, b] * curved[:, i, j]
         return np.asarray(blocks)
+
+
+#: rows and columns of an upper triangle, asked for in every iteration
+_upper_indices = functools.cache(np.triu_indices)
 
 
 @dataclass(frozen=True)
