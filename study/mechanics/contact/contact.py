@@ -281,13 +281,13 @@ class TiedPoints(ContactPoints):
         """Distance from the place where each point is held, and the force that holds it."""
         if glue is None:
             raise ValueError("ties need to know which points are held")
-        free = super().evaluate(met, multiplier, glue.held)
-        gap = np.where(glue.held, free.gap - glue.anchor[:, self.surface.axis], 0.0)
-        pressure = np.where(glue.held, multiplier - self.eps * gap, 0.0)
-        calm = np.zeros_like(gap)
-        everywhere = np.ones(gap.shape, dtype=bool)
-        return replace(
-            free, gap=gap, pressure=pressure, closing=glue.held, urge=calm, led=everywhere
+        held = glue.held
+        gap = np.where(held, met.gap - glue.anchor[:, self.surface.axis], 0.0)
+        pressure = np.where(held, multiplier - self.eps * gap, 0.0)
+        carried = np.where(held, multiplier, 0.0)
+        no_urge, led = np.zeros_like(gap), np.ones(gap.shape, dtype=bool)
+        return ContactState(
+            gap, held, pressure, carried, met.direction, met.hessian, held, no_urge, led
         )
 
     def admissible(self, multiplier: Array) -> Array:
