@@ -434,7 +434,9 @@ def rows_in_line(out: AnalysisResult, drift: RowDrift | None) -> RowsAlike | Non
         "they are repeats on one piece (--unit with its column) or the response wanders from run "
         "to run, and tell less than independent rows"
     )
-    return RowsAlike(min(0.99, r + 2 / math.sqrt(same.sum())), p, note)
+    # Fisher's z, up to two standard errors above it
+    most = math.tanh(math.atanh(min(r, 0.99)) + 2 / math.sqrt(same.sum()))
+    return RowsAlike(most, p, note)
 
 
 def _rival_of_drift(
