@@ -221,6 +221,11 @@ def test_a_share_of_a_mean_that_is_not_known_is_no_exact_limit():
     table["y"] = np.repeat(20 + 3 * random.normal(size=5), 2) + 1.02 * table["a"]
     table["y"] += random.normal(0, 0.005, 10)
     withdrawn("5 % of a mean of", table, block="s", practical="5 % of mean")
+    # a claim that stands says so of its limit, too
+    found = analyzed(table.assign(y=table["y"] + 3 * table["a"]), "a", block="s",
+                     practical="5 % of mean")  # fmt: skip
+    assert found.effect("a").verdict == MATTERS
+    assert any(note.startswith("what matters is 5 % of a mean of") for note in found.notes)
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,8 @@ _DRAWS = 2000
 _MANY = 500
 #: largest standard deviation of the sum of squares for that, over the sum
 _SMALL_SPREAD = 0.06
+#: share of a mean within which its interval is told by the digits that are printed
+_SURE_MEAN = 0.02
 #: contrasts times rows that a rival keeps at once: 160 MB
 _MOST_VALUES = 20_000_000
 #: rows whose pairs are weighed to tell the variances of cells beside crossing blocks
@@ -168,12 +170,14 @@ def limit_rivals(scale: ResponseScale, alpha: float, sample: Sample, means: Arra
     error = float(means.std(ddof=1) / math.sqrt(means.size))
     half = t_quantile(alpha / 2, means.size - 1) * error
     low, high = max(limit.value * (centre - half), 1e-300), limit.value * (centre + half)
-    why = (
-        f"{UNSURE_LIMIT}: {100 * limit.value:g} % of a mean of {means.mean():.4g} \u00b1 "
-        f"{half:.2g} is {low:.3g} to {high:.3g}"
-    )
-    ends = ((NO_DIFFERENCE, low), (MATTERS, high))
-    return [Rival(why, sample, (verdict,), practical=end) for verdict, end in ends]
+    share = f"{100 * limit.value:g} % of a mean of {means.mean():.4g} \u00b1 {half:.2g}"
+    why = f"{UNSURE_LIMIT}: {share} is {low:.3g} to {high:.3g}"
+    note = f"what matters is {share}, so {low:.3g} to {high:.3g}: a claim holds at either end"
+    note = note if half > _SURE_MEAN * centre else ""
+    return [
+        Rival(why, sample, (NO_DIFFERENCE,), practical=low, note=note),
+        Rival(why, sample, (MATTERS,), practical=high),
+    ]
 
 
 def block_means(data: Data, y: Array) -> Array:
