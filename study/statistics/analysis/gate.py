@@ -355,6 +355,8 @@ def _rival_of_rows(out: AnalysisResult, fit: Factored) -> list[Rival]:
     return [rival_of_lack(note, p, sample, whole.matrix)]
 
 
+#: pairs of rows that follow one another from which a correlation shows
+_FEWEST_IN_LINE = 10
 #: share of the rows of a cell that stand next to another of it, where cells were run one by one
 _NEIGHBORS = 0.8
 #: p of such a correlation below which it counts, so many tables without one have it, too. Of 150
@@ -419,7 +421,8 @@ def rows_in_line(out: AnalysisResult, drift: RowDrift | None) -> RowsAlike | Non
     order = np.argsort(out.data.cell, kind="stable")
     cell = np.unique(out.data.cell[order], return_inverse=True)[1]
     same = np.diff(cell) == 0
-    if np.sum(same & (np.diff(out.data.rows[order]) == 1)) < _NEIGHBORS * max(1, same.sum()):
+    in_line = np.sum(same & (np.diff(out.data.rows[order]) == 1))
+    if in_line < max(_FEWEST_IN_LINE, _NEIGHBORS * same.sum()):
         return None
     shifted, n = out.y[order] - out.y[0], np.bincount(cell)
     if drift is not None:
