@@ -404,6 +404,10 @@ def _short(cell: str) -> str:
     return repr(cell if len(cell) <= 40 else cell[:37] + "...")
 
 
+#: Cells that have no mark to look at but a decimal point.
+_PLAIN = re.compile(r"[-+0-9.eE\n]*")
+
+
 def _plain(cells: Sequence[str], decimal: str, thousands: str = "") -> list[str]:
     """Numbers with a decimal point and without marks of thousands; ``?`` for what is neither.
 
@@ -412,6 +416,8 @@ def _plain(cells: Sequence[str], decimal: str, thousands: str = "") -> list[str]
     ``0.5`` is 1200, and alone it may be 1.2, unless it was declared.
     """
     other = "." if decimal == "," else ","
+    if decimal == "." and _PLAIN.fullmatch("\n".join(cells)):
+        return list(cells)
     shown = thousands == other or any(decimal in cell for cell in cells)
     groups = _GROUPS[decimal]
     plain = []

@@ -4,9 +4,11 @@ import itertools
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import fisher_exact
 
+import study
 from study import api
 from study.statistics.analysis.failures import CaseFate, cause, failure_pattern
 
@@ -128,3 +130,18 @@ def test_an_imported_table_of_three_levels_has_the_p_of_fisher_in_r(tmp_path):
     assert tests["kind"]["counts"] == {kind: [bad, 10] for kind, bad in failed.items()}
     assert tests["kind"]["p"] == pytest.approx(0.0773634161940021, rel=1e-12)
     assert tests["kind"]["method"] == "Freeman and Halton's exact test"
+
+
+def test_a_table_names_the_pair_of_levels_that_has_no_response():
+    levels = (["2D", "axi", "3D"], ["linear", "quadratic"], ["coarse", "fine"], ["neo", "ogden"])
+    table = pd.DataFrame(itertools.product(*levels), columns=["space", "order", "mesh", "energy"])
+    table["y"] = np.random.default_rng(3).normal(10, 1, 24) + (table.space == "3D")
+    table.loc[(table.space == "3D") & (table.order == "quadratic"), "y"] = np.nan
+    found = study.analyze(table, "y ~ space * order * mesh * energy", practical=0.5, exact=False)
+    place = "y is missing where space is 3D and order is quadratic (4 of 4 rows); elsewhere in 0"
+    assert any(place in note for note in found.notes)
+    assert "(--model 1)" in found.effect("space").why
+    # two contrasts make up space, and neither p is that of the factor
+    assert {"space[1]", "space[2]"} < set(found.lenth.names)
+    assert found.anova.row("space").p is None
+    assert found.anova.row("mesh").p is not None

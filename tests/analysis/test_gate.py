@@ -138,7 +138,8 @@ def test_two_rows_that_agree_by_chance_do_not_make_their_group_sure():
     table.loc[10:, "y"] += [2.3, 2.35]
     withdrawn("Welch", table, practical=1.7)
     tests = pd.concat([table] + [table[10:] + [0, shift] for shift in (0.3, -0.3)])
-    assert judged(tests, practical=1.7).verdict == MATTERS
+    # the pairs one after the other would be pieces that were each measured twice
+    assert judged(tests.sort_index(), practical=1.7).verdict == MATTERS
 
 
 def test_readings_as_coarse_as_the_differences_claim_nothing():
@@ -220,6 +221,11 @@ def test_a_share_of_a_mean_that_is_not_known_is_no_exact_limit():
     table["y"] = np.repeat(20 + 3 * random.normal(size=5), 2) + 1.02 * table["a"]
     table["y"] += random.normal(0, 0.005, 10)
     withdrawn("5 % of a mean of", table, block="s", practical="5 % of mean")
+    # a claim that stands says so of its limit, too
+    found = analyzed(table.assign(y=table["y"] + 3 * table["a"]), "a", block="s",
+                     practical="5 % of mean")  # fmt: skip
+    assert found.effect("a").verdict == MATTERS
+    assert any(note.startswith("what matters is 5 % of a mean of") for note in found.notes)
 
 
 @pytest.mark.parametrize(
@@ -717,6 +723,20 @@ def test_a_drift_over_the_rows_is_named_with_what_it_explains():
     still["y"] += still["a"]
     for rows in (still, still.sort_values(["a", "y"])):
         assert analyzed(rows, "a", practical=0.5).effect("a").verdict == MATTERS
+
+
+def test_rows_in_line_that_are_alike_claim_no_more_than_fewer_would():
+    """Three rows on each of four pieces, whose column is not named; runs in turn say nothing."""
+    random = np.random.default_rng(2)
+    pieces = np.repeat(random.normal(0, 0.5, 8), 3) + random.normal(0, 0.05, 24)
+    table = pd.DataFrame({"a": np.repeat([0, 1], 12), "piece": np.repeat(np.arange(8), 3)})
+    table["y"] = pieces + table["a"]
+    effect = judged(table)
+    assert (effect.verdict, "(--unit with its column)" in effect.why) == (CANNOT_TELL, True)
+    assert any("follow one another are alike" in note for note in analyzed(table, "a").notes)
+    assert not any("alike" in note for note in analyzed(table, "a", unit="piece").notes)
+    assert judged(table.sample(frac=1, random_state=1)).verdict == MATTERS
+    assert judged(table.assign(y=table["y"] + 8 * table["a"])).verdict == MATTERS
 
 
 @pytest.mark.parametrize(("name", "refused"), [("batch", True), ("Lot no", True), ("heat", False)])

@@ -85,3 +85,28 @@ def test_mixed_models(rows, name, response, block, random, model, sds, term):
     test = next(t for t in found.terms if t.term == term)
     assert test.f == pytest.approx(FIGURES[name, term, "f"], rel=1e-6)
     assert test.df_error == pytest.approx(FIGURES[name, term, "df_error"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "response", "random"),
+    [
+        ("Pastes", "strength", ["batch", "batch:cask"]),
+        ("Dyestuff", "Yield", ["Batch"]),
+    ],
+)
+def test_studies_of_precision(rows, name, response, random):
+    found = mixed_model(pd.read_csv(rows / f"{name}.csv"), response, [], random=random)
+    theirs = {"within": "Residual", "batch:cask": "cask:batch"}
+    for component in found.components:
+        figure = FIGURES[name, theirs.get(component.source, component.source), "sd"]
+        assert component.sd == pytest.approx(figure, rel=1e-6)
+
+
+def test_scatter_of_oats_is_that_of_its_mean_squares(rows):
+    """Complete, so REML is the classical analysis; lme4 ends its search at 1e-5 of it."""
+    table = pd.read_csv(rows / "oats.csv")
+    found = mixed_model(table, "Y", ["N", "V"], block="B", random=["V"])
+    strata = study.analyze(table, "Y ~ N * V + Error(B/V)").anova
+    ms = {row.term: row.ms for row in strata.rows}
+    exact = [(ms["B"] - ms["B:V"]) / 12, (ms["B:V"] - ms["residual"]) / 4, ms["residual"]]
+    assert [c.sd**2 for c in found.components] == pytest.approx(exact, rel=1e-9)

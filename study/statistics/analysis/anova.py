@@ -327,7 +327,8 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     filled = partial(_effects_alone, request=measured)
     failure_bounds = failures.bounds(table, request, out.effects, filled)
     notes = failures.sentences(failure_bounds, out.data.missing)
-    return replace(result, failure_bounds=failure_bounds).warn(*notes)
+    shared = [] if request.records else failures.shared_settings(table, request)
+    return replace(result, failure_bounds=failure_bounds).warn(*shared, *notes)
 
 
 def _nested_chain(table: pd.DataFrame, request: AnalysisRequest) -> tuple[str, ...]:

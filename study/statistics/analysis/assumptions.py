@@ -23,7 +23,7 @@ from study.statistics.analysis.equal_variance import (
     levene,
     welch_tests,
 )
-from study.statistics.analysis.gate import drift_over_rows
+from study.statistics.analysis.gate import TREND, drift_over_rows, rows_in_line
 from study.statistics.analysis.linear_model import (
     Factorization,
     Term,
@@ -79,15 +79,17 @@ def assumptions_of(out: AnalysisResult) -> AnalysisResult:
             shapiro_wilk=shapiro_wilk(out.fit.residual),
             influence=influential(out.fit),
         )
-        out = out.warn(*_drift(out, out.fit))
+        out = out.warn(*_order_of_rows(out, out.fit))
     return replace(out, assumptions=tests)
 
 
-def _drift(out: AnalysisResult, fit: Factored | TwoWayFit) -> list[str]:
-    """Say what of the differences a drift over the rows explains, where residuals show one."""
+def _order_of_rows(out: AnalysisResult, fit: Factored | TwoWayFit) -> list[str]:
+    """Say that rows in line are alike, and what of the differences a drift over them explains."""
     drift = drift_over_rows(out, fit)
+    alike = rows_in_line(out, drift)
+    notes = [alike.note] if alike is not None and alike.p < TREND else []
     if drift is None:
-        return []
+        return notes
     rows, slope, test = drift.rows, drift.slope, drift.test
     shares = []
     for effect in out.effects if not out.request.scale.is_log else ():
@@ -98,7 +100,8 @@ def _drift(out: AnalysisResult, fit: Factored | TwoWayFit) -> list[str]:
     what = f"; it would be {', '.join(shares)} of the largest differences" if shares else ""
     return [
         f"the response drifts over the rows of the table ({slope:.3g} a row, {test.words}), which "
-        f"counts if they stand in the order of the runs{what}"
+        f"counts if they stand in the order of the runs{what}",
+        *notes,
     ]
 
 

@@ -597,7 +597,8 @@ def _judged(estimate: TermEstimate, scale: Scale, simple: SimpleEffects | None) 
     if scale.specimens == 1:
         return Judgement(CANNOT_TELL, ONE_SPECIMEN)
     if estimate.half is None and not scale.deterministic:
-        return Judgement(CANNOT_TELL, "there is no error to judge the effect against")
+        why = "there is no error to judge the effect against"
+        return Judgement(CANNOT_TELL, simple.why if simple else why)
     if simple is None:
         verdict, why, needed = _of_components(estimate, scale)
     else:

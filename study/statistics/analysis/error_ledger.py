@@ -205,9 +205,9 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
         rivals += rivals_beside_crossing_blocks(out, judged)
         gate = replace(gate, rivals=(*gate.rivals, *rivals))
         simple = gate.judged(out.terms)
-    outer = _of_outer_factors(out)
-    gate = replace(gate, undecided=next((e.why for e in outer.values()), gate.undecided))
-    simple |= outer
+    unjudged = _unjudged(out, has_error=bool(simple))
+    gate = replace(gate, undecided=next((e.why for e in unjudged.values()), gate.undecided))
+    simple |= unjudged
     table = table_of(kind, rows, out.y.size, fit.tss)
     out = out.concluded(error, table, estimates, gate, simple)
     if untested and df == 0:
@@ -222,7 +222,8 @@ def _remedies(out: AnalysisResult) -> str:
     if len(out.data.factors) == 1:
         return _REPEAT
     order = largest_order(out.data, out.request.lower_order, spare=1)
-    return REMEDIES.format(f"model = {order}" if order else "name the terms of the model")
+    option = "model = " if out.request.records else "--model "
+    return REMEDIES.format(f"{option}{order}" if order else "name the terms of the model")
 
 
 def _undecided_beside_blocks(out: AnalysisResult, fit: Factored) -> AnalysisResult:
@@ -319,19 +320,26 @@ def _sparse_ready(out: AnalysisResult, fit: Factored) -> bool:
     return fit.df_residual == 0 or (not data.blocks and balanced(data.layout, data.factors))
 
 
-def _of_outer_factors(out: AnalysisResult) -> dict[str, SimpleEffects]:
-    """Judge factors within which others lie: their levels are the replicates, and not the rows."""
-    return {
-        outer: SimpleEffects(
-            CANNOT_TELL,
-            f"{inner} lies within it, and the rows do not tell how other levels of {inner} would "
-            f"differ: --unit {inner} judges by its levels",
-            (),
-        )
+def _unjudged(out: AnalysisResult, *, has_error: bool) -> dict[str, SimpleEffects]:
+    """Factors that are not judged, with the reason and what would mend it.
+
+    All are where no run is repeated, and those within which others lie: their levels are the
+    replicates, and not the rows.
+    """
+    if out.request.records:
+        return {}
+    why = {
+        outer: f"{inner} lies within it, and the rows do not tell how other levels of {inner} "
+        f"would differ: --unit {inner} judges by its levels"
         for inner, parents in nested_in(out.terms).items()
         for outer in parents
-        if not out.request.records
     }
+    if not has_error:
+        order = largest_order(out.data, out.request.lower_order, spare=1)
+        declare = f", or declare which interactions are negligible (--model {order})"
+        text = "there is no error to judge the effect against: repeat runs"
+        why = dict.fromkeys(out.data.factors, text + (declare if order else "")) | why
+    return {name: SimpleEffects(CANNOT_TELL, text, ()) for name, text in why.items()}
 
 
 def _by_pseudo_error(

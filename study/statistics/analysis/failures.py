@@ -396,6 +396,27 @@ def _lowest(filled: Sequence[Effect], smallest: float | None) -> float | None:
     return float(np.exp(least)) if ratio else least
 
 
+def shared_settings(table: pd.DataFrame, request: AnalysisRequest) -> list[str]:
+    """Say in one sentence which settings the rows without a response share, if they do."""
+    response, layout = request.response, request.layout
+    names = [*request.factors, *layout.block, *([layout.unit] if layout.unit else [])]
+    if len(table) > _MOST_ROWS:
+        return []
+    missing = ~np.isfinite(table[response].to_numpy(dtype=float, na_value=np.nan))
+    labels = table[names].astype(str).to_numpy()
+    rows = zip(labels, missing.tolist(), strict=True)
+    fates = [CaseFate(dict(zip(names, levels, strict=True)), "", lost) for levels, lost in rows]
+    rules, elsewhere = _rules(fates, "")
+    places = [
+        f"{' and '.join(f'{name} is {level}' for name, level in rule.settings.items())} "
+        f"({rule.failed} of {rule.total} rows)"
+        for rule in rules
+        if len(rule.settings) > 1 or rule.failed < rule.total  # a lost level is named as such
+    ]
+    where = f"{response} is missing where {', or where '.join(places)}"
+    return [f"{where}; elsewhere in {elsewhere[0]} of {elsewhere[1]} rows"] if places else []
+
+
 def sentences(failure_bounds: Sequence[FailureBound], missing: int) -> list[str]:
     """Say in one sentence which conclusions the missing responses could overturn."""
     if not failure_bounds:

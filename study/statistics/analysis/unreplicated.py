@@ -69,7 +69,11 @@ def saturated_contrasts(data: Data, terms: Sequence[Term]) -> tuple[list[str], A
 def added_contrasts(fit: Factorization, terms: Sequence[Term]) -> tuple[list[str], Array]:
     """Orthonormal contrasts (n, m) of what each of some terms adds to those before it in a fit."""
     bases = {t: fit.space(i, "I").basis for i, t in enumerate(fit.matrix.terms) if t in terms}
-    names = [term_name(t) for t, basis in bases.items() for _ in range(basis.shape[1])]
+    names = [
+        f"{term_name(t)}[{i + 1}]" if basis.shape[1] > 1 else term_name(t)
+        for t, basis in bases.items()
+        for i in range(basis.shape[1])
+    ]
     return names, fit.q @ np.hstack([*bases.values()])
 
 
