@@ -52,7 +52,13 @@ from study.statistics.analysis.mixed_model import FEWEST_LEVELS
 from study.statistics.analysis.post_hoc import with_holm
 from study.statistics.analysis.power import planned
 from study.statistics.analysis.simple_effects import without_each
-from study.statistics.analysis.strata import Plots, incomplete_blocks, own, split_plot, whole_plots
+from study.statistics.analysis.strata import (
+    Plots,
+    by_block_interactions,
+    incomplete_blocks,
+    split_plot,
+    whole_plots,
+)
 from study.statistics.analysis.unreplicated import copies_of, refuse_fake_replicates, ulp_floor
 from study.statistics.convergence.contrast_bound import SeriesBounds
 
@@ -446,7 +452,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     if data.block is not None and not declared and request.error != "pooled":
         between_blocks = plots if plots is not None and plots.nested else None
         judged = None if between_blocks else incomplete_blocks(out)
-        if (judged := judged or own(out, between_blocks)) is not None:
+        if (judged := judged or by_block_interactions(out, between_blocks)) is not None:
             return judged
         if lacking := _lacking(data, between_blocks):
             return pooled(out, untested=lacking)
@@ -547,7 +553,7 @@ def _with_empty_cells(
         f"({error_ledger.smaller_model(data, request)})"
     )
     reason = error_ledger.undecided(data, request)
-    return replace(structure, undecided=reason, asked=terms), told_apart, [note]
+    return replace(structure, undecided=reason, declared=terms), told_apart, [note]
 
 
 def _lacking(data: Data, plots: Plots | None) -> str:

@@ -367,7 +367,7 @@ def _corrected(
     return epsilon_gg(residual @ residual.T), None
 
 
-def own(out: AnalysisResult, plots: Plots | None = None) -> AnalysisResult | None:
+def by_block_interactions(out: AnalysisResult, plots: Plots | None = None) -> AnalysisResult | None:
     """E1: every effect against its own interaction with the blocks.
 
     E2 where the blocks are resamples of the noise, which all cells have in common. Where blocks are
@@ -464,7 +464,7 @@ def _estimates(
         each = (fit.inverse @ fit.q.T) * (y - fit.shift)
         return fit, each.reshape(len(each), -1, b).sum(axis=1)
 
-    fit, added = with_parts(out.structure.asked or out.terms)
+    fit, added = with_parts(out.structure.declared or out.terms)
     sample = over_groups(fit, added, groups, request.confidence)
     own_errors = over_groups(fit, added, groups, Confidence(request.alpha))
     if fewest < 2:  # one block tells no scatter
