@@ -21,6 +21,7 @@ from study.mechanics.setup.test_kind import (
 from study.mechanics.solver.equilibrium import (
     Equilibria,
     Instability,
+    RandomLoad,
     are_factors_of_step,
     contact_figures,
     has_inertia_of_factors,
@@ -210,6 +211,7 @@ class LoadPath:
         self._known_to_stand, self._local_surplus = 0.0, 0
         self._reach_of: tuple[State, str] | None = None
         self._latest: tuple[NewtonResult, StepGradients] | None = None
+        self._random_load: RandomLoad | None = None
 
     def to_the_end(self) -> LoadPath:
         """Go through the requested steps for as long as they converge."""
@@ -281,11 +283,15 @@ class LoadPath:
                 return True
             count = surplus(self.system) or 0  # of a few elements: one more may be of the body
         self._local_surplus = count
-        before = self.steps[-1].state if self.steps else self.rest or self.system.start()
-        is_near = are_factors_of_step(self.system, self.state, before)
-        if is_near or (self._at(self._whole_mm) and has_inertia_of_factors(self.system)):
+        is_near = are_factors_of_step(self.system, self.state, self._step_before())
+        is_last = self._at(self._whole_mm)
+        if is_near or (is_last and has_inertia_of_factors(self.system, self._random_load)):
             self._known_to_stand = self.state.displacement_mm
         return False
+
+    def _step_before(self) -> State:
+        """Last state that was written down."""
+        return self.steps[-1].state if self.steps else self.rest or self.system.start()
 
     def _end_at_a_collapse(self) -> None:
         """Drop the steps from where snaps of a body between plates have lost much of its energy.
@@ -613,8 +619,18 @@ class LoadPath:
     def _gradients(self, result: NewtonResult) -> StepGradients:
         """Force and derivatives of a converged state, computed once."""
         if self._latest is None or self._latest[0] is not result:
-            assembly = result.equilibrium()
-            row = step_gradients(self.system, result.state, assembly, parameters=self.gradients_of)
+            assembly, system = result.equilibrium(), self.system
+            self._random_load = None
+            is_last = result.state.displacement_mm == self._whole_mm
+            if is_last and not are_factors_of_step(system, result.state, self._step_before()):
+                self._random_load = RandomLoad.on(system)
+            row = step_gradients(
+                system,
+                result.state,
+                assembly,
+                parameters=self.gradients_of,
+                beside=self._random_load,
+            )
             self._latest = result, row
         return self._latest[1]
 
