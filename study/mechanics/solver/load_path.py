@@ -706,7 +706,7 @@ class LoadPath:
 
     def _balance(self) -> tuple[EnergyBalance, Array]:
         """Energy balance of the steps, and the work done up to each, shape (n,), N mm."""
-        return balanced(self.steps, tuple(self.snaps), self._whole_mm, self._share)
+        return balanced(self.steps, tuple(self.snaps))
 
     def _curve(self, work_Nmm: Array) -> Curve:
         """Force-displacement curve with its gradients."""
