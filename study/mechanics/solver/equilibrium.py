@@ -237,6 +237,15 @@ class RandomLoad:
         if not self.settled:
             self.left -= symmetric_product(pattern.indptr, pattern.indices, self.system.data, x)
 
+    def solved_beside(self, right: Array, *, refined: bool) -> Array:
+        """Solve for other loads (n_free, k), and with them for the next correction."""
+        if self.settled:
+            return self.system.back_substitute(right, refined=refined)
+        columns = np.column_stack([right, self.left])
+        solution = self.system.back_substitute(columns, refined=refined)
+        self.correct(solution[:, -1])
+        return solution[:, :-1]
+
 
 def has_inertia_of_factors(system: System, begun: RandomLoad | None = None) -> bool:
     """Whether the last assembled tangent has as many negative eigenvalues as that of the factors.
@@ -431,8 +440,10 @@ def resultants(
     places, is_part = space.nodes + moved, dim < 3 or sector > 1
     middle = np.zeros(3)
     if not is_part:
-        top = at_level(space, mesh, mesh.height_mm)
-        middle = places[top].mean(axis=0) if top.size else middle
+        face = np.isin(space.facets, at_level(space, mesh, mesh.height_mm)).all(axis=1)
+        corners = places[space.facets[face, : _corners(space.facets.shape[1], dim)]]
+        areas = facet_areas(corners)
+        middle = areas @ corners.mean(axis=1) / areas.sum() if areas.size else middle
     bodies = []
     for force, sign, about in ((forces[0], sense, middle), (forces[1], -sense, np.zeros(3))):
         side, moment = np.zeros(2), np.zeros(3)

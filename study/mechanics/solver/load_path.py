@@ -634,7 +634,7 @@ class LoadPath:
                 result.state,
                 assembly,
                 parameters=self.gradients_of,
-                beside=self._random_load,
+                random_load=self._random_load,
             )
             self._latest = result, row
         return self._latest[1]

@@ -97,14 +97,14 @@ def linear_rates(
     assembly: Assembly,
     loads: Loads,
     tolerance: float,
-    beside: RandomLoad | None = None,
+    random_load: RandomLoad | None = None,
 ) -> Rates:
     """Solve for all rates together.
 
     The factorization is that of a late Newton iterate; corrections with the tangent of the
     converged state remove the difference, and an augmented-Lagrange update that of the
     contact springs. The tangent itself is factorized only where contact has changed since, or
-    where corrections cost more. A random load ``beside`` them is corrected for little more.
+    where corrections cost more. A random load is corrected beside them for little more.
     """
     free, x = system.pattern.free, loads.start.copy()
     closed = _closed_points(system, assembly, loads.targets)
@@ -143,7 +143,8 @@ def linear_rates(
             if is_small or _cost_ahead(sizes, allowed, springs) > left_to_try:
                 system.factorize(exact=True)
                 older = False
-        correction = _correction(system, left[free], beside)
+        solved = system.back_substitute if random_load is None else random_load.solved_beside
+        correction = solved(left[free], refined=False)
         energies.append(abs(float(left[free, 0] @ correction[:, 0])))
         x[free] += correction
         for each in closed:
@@ -152,15 +153,6 @@ def linear_rates(
         each.push(left, -each.eps * each.missed(x))  # the springs hold nothing any more
     left[system.constraints.dofs] = 0.0
     return Rates(x, left, closed, float(np.max(size / np.maximum(allowed, 1e-300))))
-
-
-def _correction(system: System, left: Array, beside: RandomLoad | None) -> Array:
-    """Solve for what is left by the factors at hand, and with it for a random load."""
-    if beside is None or beside.settled:
-        return system.back_substitute(left, refined=False)
-    columns = system.back_substitute(np.column_stack([left, beside.left]), refined=False)
-    beside.correct(columns[:, -1])
-    return columns[:, :-1]
 
 
 def _closed_points(
@@ -236,7 +228,7 @@ def step_gradients(
     assembly: Assembly,
     *,
     parameters: tuple[str, ...],
-    beside: RandomLoad | None = None,
+    random_load: RandomLoad | None = None,
 ) -> StepGradients:
     """Force, tangent stiffness and derivatives at a converged state just assembled."""
     scales = system.weight is None and not system.sticks
@@ -244,7 +236,7 @@ def step_gradients(
     solved = tuple(name for name in parameters if name != free)
     loads = _loads(system, state, assembly, solved)
     tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
-    rates = linear_rates(system, assembly, loads, tolerance, beside)
+    rates = linear_rates(system, assembly, loads, tolerance, random_load)
     scale = system.force_scale
     axial = 0 if system.constraints.axial is None else loads.start.shape[1] - 1
 
