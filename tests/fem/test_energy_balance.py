@@ -184,11 +184,27 @@ def test_a_small_jump_that_is_known_bends_no_interval():
     places = np.linspace(3.5, 5.0, 61)
     worst = {}
     for known in ((), (4.0,)):
-        _, work = balanced(steps, known, 5.0)
+        _, work = balanced(steps, known)
         curve = Curve(d, 2 * d, np.full(d.size, 2.0), work_Nmm=work)
         worst[known] = float(np.abs(curve.force_at(places) / (2 * places) - 1).max())
     assert worst[()] > 0.1
     assert worst[(4.0,)] < 1e-12
+
+
+def test_a_missing_work_where_no_jump_is_known_asks_for_points_between():
+    """A cone of one step, .6 % of its largest force off amid an interval whose work was given up.
+
+    Against ninety-six steps on the same mesh: points meet the cone one by one.
+    """
+    problem = indentation(
+        Cone(50.0, 1.0), 1.5, material=Material("ogden", {"mu1": 0.08, "alpha1": 3.0},
+        poisson_ratio=0.45), specimen=Cylinder(21.6, 20.8), element_order="linear", mesh="coarse",
+    )  # fmt: skip
+    one, many = (replace(problem, test=replace(problem.test, steps=n)) for n in (1, 96))
+    places, exact = np.linspace(0.02, 1.5, 400), reached(many).curve
+    curve = reached(one, options=Options(curve_error=1e-3)).curve
+    off = curve.force_at(places) - exact.force_at(places)
+    assert np.abs(off).max() < 2e-3 * exact.force_N[-1]
 
 
 def snapping(c10, steps, mesh, ratio=1.3):

@@ -78,14 +78,18 @@ def test_a_mesh_too_coarse_for_its_deformation_is_named(specimen, material, shar
     assert notes[1] == "every step converged"
 
 
-@pytest.mark.parametrize("depth", [0.2, 0.5])
-def test_a_layer_of_few_linear_elements_under_a_sticking_sphere_is_named(depth):
+@pytest.mark.parametrize(
+    ("nu", "depth", "excess"), [(0.49, 0.2, 1.3), (0.49, 0.5, 1.3), (0.45, 0.3, 1.1)]
+)
+def test_a_layer_of_few_linear_elements_under_a_sticking_sphere_is_named(nu, depth, excess):
     """1.7 tetrahedra over a layer of 1.5 mm: .385 N where .267 is right, 4.7 where 3.0 is.
+
+    Of a compressible layer .454 N where .399 is.
 
     A root mean square over the whole body saw nothing, since the layer is ten times as wide as what
     is pressed.
     """
-    material = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.49)
+    material = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=nu)
     layer, sphere = Cylinder(12.0, 1.5), Sphere(25.0)
     forces, notes = [], []
     for model in (
@@ -100,7 +104,7 @@ def test_a_layer_of_few_linear_elements_under_a_sticking_sphere_is_named(depth):
         )  # fmt: skip
         forces.append(found.curve.force_N[-1])
         notes.append(found.message)
-    assert forces[0] > 1.3 * forces[1]
+    assert forces[0] > excess * forces[1]
     assert "uneven volumes within the elements stand for" in notes[0]
     assert "uneven volumes" not in notes[1]
 

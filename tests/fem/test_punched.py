@@ -11,9 +11,10 @@ import pytest
 
 from study.mechanics.contact.contact import constraints
 from study.mechanics.element.function_space import discretize
+from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import _volumes, build_mesh
 from study.mechanics.setup.geometry import Block, Cylinder, Flat
-from tests.fem.problems import GEL, LONG, forces, indentation
+from tests.fem.problems import GEL, LONG, forces, indentation, reached
 
 LEVELS = ("coarse", "medium", "fine")
 BLOCK, FORCE = Block(40, 40, 20), 0.0827
@@ -132,3 +133,15 @@ def test_a_seed_leaves_the_circle_where_it_is():
     assert force(punch(mesh="medium", mesh_seed=3)) == pytest.approx(
         force(punch(mesh="medium")), rel=0.01
     )
+
+
+def test_a_fine_mesh_of_quadratic_elements_meets_a_flat_punch_at_a_tiny_depth():
+    """Points that were held closed pulled, and were chosen for ever: the test stopped at 0 mm."""
+    forces, soft = [], Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.49)
+    for order in ("linear", "quadratic"):
+        problem = indentation(
+            Flat(3.0, 0.3), 0.006, Cylinder(20.0, 20.0), steps=2, element_order=order,
+            mesh_size_mm=0.1 / 3, material=soft,
+        )  # fmt: skip
+        forces.append(reached(problem).curve.force_N[-1])
+    np.testing.assert_allclose(forces[1], forces[0], rtol=0.01)

@@ -597,8 +597,7 @@ class GaugeSection(TestKind):
 class PlateMotion(Compression):
     """The plate above has all six rigid motions, in proportion to the axial displacement.
 
-    The force is the one that does the work of the whole motion, per unit of the displacement:
-    sideways forces and moments stand in it with their share of the motion.
+    The force is the reaction along the axis; side forces and moments stand beside it.
     """
 
     compresses: bool = False

@@ -102,8 +102,12 @@ class Instability(Keyed):
 def surplus(system: System) -> int | None:
     """Negative eigenvalues of the factors at hand beyond one for each free pressure."""
     negative = system.solver.negative_pivots()
-    pressures = np.count_nonzero(system.pattern.free >= system.space.n_displacement)
-    return None if negative is None else negative - int(pressures)
+    return None if negative is None else negative - (system.dofs - _motions(system))
+
+
+def _motions(system: System) -> int:
+    """Count the free displacements, which come before the free pressures."""
+    return int(np.searchsorted(system.pattern.free, system.space.n_displacement))
 
 
 def is_unstable(system: System, state: State) -> bool:
@@ -194,27 +198,68 @@ def are_factors_of_step(system: System, state: State, before: State) -> bool:
     return bool(off <= _NEAR * step)
 
 
-def has_inertia_of_factors(system: System) -> bool:
-    """Whether the last assembled tangent K has as many negative eigenvalues as K0, of the factors.
+@dataclass
+class RandomLoad:
+    """Corrections ``x += K0^-1 (b - K x)`` for a load b that excites every motion.
 
-    So it is where corrections ``x += K0^-1 (b - K x)`` converge for a load b that excites every
-    motion: on the line between the two a matrix is singular only if K0^-1 K has a negative
+    They tell whether the last assembled tangent K has as many negative eigenvalues as K0, of the
+    factors: on the line between the two a matrix is singular only if K0^-1 K has a negative
     eigenvalue, whose part of the error the corrections make larger. The load of a test leaves out
-    motions of another symmetry, so that b is random, and its seed fixed. Displacements are
-    compared, in which the softest motions have the largest part. False where the corrections cost
-    as much as a factorization.
+    motions of another symmetry, so that b is random, and its seed fixed.
     """
-    pattern = system.pattern
-    moves = pattern.free < system.space.n_displacement
-    left = np.where(moves, np.random.default_rng(0).standard_normal(moves.size), 0.0)
-    x = system.back_substitute(left)
-    allowed = _CORRECTED * float(np.linalg.norm(x[moves]))
-    for _ in range(int(np.clip(system.solver.worth(), 1, _CORRECTIONS))):
-        left -= symmetric_product(pattern.indptr, pattern.indices, system.data, x)
-        x = system.back_substitute(left)
-        if np.linalg.norm(x[moves]) <= allowed:
-            return True
-    return False
+
+    system: System
+    #: shape (n_free,); ``b - K x``.
+    left: Array
+    #: State whose tangent K0 is.
+    factored: object
+    #: Norms of the displacements of each correction: the softest motions have most of them.
+    sizes: list[float]
+
+    @classmethod
+    def on(cls, system: System) -> RandomLoad:
+        """Begin with the factors at hand."""
+        left, n = np.zeros(system.dofs), _motions(system)
+        left[:n] = np.random.default_rng(0).standard_normal(n)
+        return cls(system, left, system.factors.state, [])
+
+    @property
+    def settled(self) -> bool:
+        """Whether corrections have become small, as they do only with eigenvalues of one sign."""
+        return len(self.sizes) > 1 and self.sizes[-1] <= _CORRECTED * self.sizes[0]
+
+    def correct(self, x: Array) -> None:
+        """Take the next correction, ``K0^-1`` times what is left."""
+        if self.settled or self.factored is not self.system.factors.state:
+            return
+        x, pattern = np.ascontiguousarray(x), self.system.pattern
+        self.sizes.append(float(np.linalg.norm(x[: _motions(self.system)])))
+        if not self.settled:
+            self.left -= symmetric_product(pattern.indptr, pattern.indices, self.system.data, x)
+
+    def solved_beside(self, right: Array, *, refined: bool) -> Array:
+        """Solve for other loads (n_free, k), and with them for the next correction."""
+        if self.settled:
+            return self.system.back_substitute(right, refined=refined)
+        columns = np.column_stack([right, self.left])
+        solution = self.system.back_substitute(columns, refined=refined)
+        self.correct(solution[:, -1])
+        return solution[:, :-1]
+
+
+def has_inertia_of_factors(system: System, begun: RandomLoad | None = None) -> bool:
+    """Whether the last assembled tangent has as many negative eigenvalues as that of the factors.
+
+    ``begun`` are corrections of a random load by these factors, if there are some. False where
+    they cost as much as a factorization.
+    """
+    load = begun or RandomLoad.on(system)
+    if load.factored is not system.factors.state:
+        load = RandomLoad.on(system)
+    most = 1 + min(max(int(system.solver.worth()), 1), _CORRECTIONS)
+    while len(load.sizes) < most and not load.settled:
+        load.correct(system.solver.solve(load.left, refined=False))
+    return load.settled
 
 
 def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, ...]] | None:
@@ -395,8 +440,10 @@ def resultants(
     places, is_part = space.nodes + moved, dim < 3 or sector > 1
     middle = np.zeros(3)
     if not is_part:
-        top = at_level(space, mesh, mesh.height_mm)
-        middle = places[top].mean(axis=0) if top.size else middle
+        face = np.isin(space.facets, at_level(space, mesh, mesh.height_mm)).all(axis=1)
+        corners = places[space.facets[face, : _corners(space.facets.shape[1], dim)]]
+        areas = facet_areas(corners)
+        middle = areas @ corners.mean(axis=1) / areas.sum() if areas.size else middle
     bodies = []
     for force, sign, about in ((forces[0], sense, middle), (forces[1], -sense, np.zeros(3))):
         side, moment = np.zeros(2), np.zeros(3)

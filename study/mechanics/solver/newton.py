@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from study.ground.arrays import Array, Flags
+from study.mechanics.contact.contact import ContactState
 from study.mechanics.setup.test_kind import StepSettings
 from study.mechanics.solver.linear_solver import SingularMatrixError
 from study.mechanics.solver.system import Assembly, Drag, State, System, Weight
@@ -244,6 +246,9 @@ _TOGETHER = 10
 #: changes of side within one step after which a point is held closed
 _RESTLESS = 4
 
+#: number of changes from which none is counted up to that
+_NEVER = -1_000
+
 
 class Switches:
     """Active sets of one Newton solve, kept from going round in circles.
@@ -271,8 +276,10 @@ class Switches:
         """
         if not self._system.contact:
             return state
-        chosen = list[Flags]()
-        for number, touch in enumerate(self._system.touching(state)):
+        chosen, touching = list[Flags](), self._system.touching(state)
+        if calm and self._iteration == _TOGETHER and self._last:
+            self._let_go(touching)
+        for number, touch in enumerate(touching):
             side = touch.closing.copy()
             if self._last:
                 before, changed = self._last[number], touch.closing != self._last[number]
@@ -287,6 +294,17 @@ class Switches:
         self.changing = any((side != before).any() for side, before in pairs)
         self._last, self._iteration = chosen, self._iteration + 1
         return replace(state, closed=tuple(chosen))
+
+    def _let_go(self, touching: Sequence[ContactState]) -> None:
+        """Hold no point any more where one that is held pulls too much, which fails the step.
+
+        It changed sides while contact was far from settled: all decide together again, for longer.
+        """
+        for count, touch in zip(self._count, touching, strict=True):
+            allowed = -NewtonSettings.pull * max(float(touch.urge.max(initial=0.0)), 0.0)
+            if ((count >= _RESTLESS) & (touch.urge < allowed)).any():
+                self._count = [np.full_like(each, _NEVER) for each in self._count]
+                self._iteration = -_TOGETHER
 
 
 # -------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from study.ground.arrays import Array
 from study.mechanics.contact.contact import TiedPoints
 from study.mechanics.material.material import Material, is_dimensionless
+from study.mechanics.solver.equilibrium import RandomLoad
 from study.mechanics.solver.system import Assembly, State, System
 
 #: corrections by one factorization; after as many the tangent itself is factorized in double
@@ -91,13 +92,19 @@ class Rates:
     excess: float
 
 
-def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: float) -> Rates:
+def linear_rates(
+    system: System,
+    assembly: Assembly,
+    loads: Loads,
+    tolerance: float,
+    random_load: RandomLoad | None = None,
+) -> Rates:
     """Solve for all rates together.
 
     The factorization is that of a late Newton iterate; corrections with the tangent of the
     converged state remove the difference, and an augmented-Lagrange update that of the
     contact springs. The tangent itself is factorized only where contact has changed since, or
-    where corrections cost more.
+    where corrections cost more. A random load is corrected beside them for little more.
     """
     free, x = system.pattern.free, loads.start.copy()
     closed = _closed_points(system, assembly, loads.targets)
@@ -136,7 +143,8 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
             if is_small or _cost_ahead(sizes, allowed, springs) > left_to_try:
                 system.factorize(exact=True)
                 older = False
-        correction = system.back_substitute(left[free])
+        solved = system.back_substitute if random_load is None else random_load.solved_beside
+        correction = solved(left[free], refined=False)
         energies.append(abs(float(left[free, 0] @ correction[:, 0])))
         x[free] += correction
         for each in closed:
@@ -215,7 +223,12 @@ class StepGradients:
 
 
 def step_gradients(
-    system: System, state: State, assembly: Assembly, *, parameters: tuple[str, ...]
+    system: System,
+    state: State,
+    assembly: Assembly,
+    *,
+    parameters: tuple[str, ...],
+    random_load: RandomLoad | None = None,
 ) -> StepGradients:
     """Force, tangent stiffness and derivatives at a converged state just assembled."""
     scales = system.weight is None and not system.sticks
@@ -223,7 +236,7 @@ def step_gradients(
     solved = tuple(name for name in parameters if name != free)
     loads = _loads(system, state, assembly, solved)
     tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
-    rates = linear_rates(system, assembly, loads, tolerance)
+    rates = linear_rates(system, assembly, loads, tolerance, random_load)
     scale = system.force_scale
     axial = 0 if system.constraints.axial is None else loads.start.shape[1] - 1
 

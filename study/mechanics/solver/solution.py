@@ -96,14 +96,13 @@ class EnergyBalance:
         return float(held.max(initial=0.0))
 
 
-def balanced(
-    steps: list[Step], jumps_mm: tuple[float, ...], whole_mm: float, share: float = JUMP_SHARE
-) -> tuple[EnergyBalance, Array]:
+def balanced(steps: list[Step], jumps_mm: tuple[float, ...]) -> tuple[EnergyBalance, Array]:
     """Energy balance of a run, and the work done up to each step, shape (n,), N mm.
 
-    The work is what the specimen stores, but where it jumped: there it is interpolated. A jump
-    that is known counts however little energy was lost in it: as a missing work it would bend
-    the curve of a short interval by more than the whole change of force.
+    The work is what the specimen stores, but where it jumped: there it is interpolated, however
+    little energy was lost: as a missing work it would bend the curve of a short interval by more
+    than the whole change of force. Where no jump is known, a missing work tells that the curve
+    bends between the two points.
     """
     if not steps:
         return EnergyBalance(), _none()
@@ -113,7 +112,7 @@ def balanced(
         missing[k] = unexplained_work(before, after)
         ends_mm = before.state.displacement_mm, after.state.displacement_mm
         holds_jump = any(ends_mm[0] <= jump_mm < ends_mm[1] for jump_mm in jumps_mm)
-        if holds_jump or jumped(before, after, whole_mm, share):
+        if holds_jump:
             lost[k] = missing[k]
     largest = float(total.max())
     balance = EnergyBalance(

@@ -350,10 +350,10 @@ class System:
         jump[self.constraints.dofs] = lift
         return self.tangent.constrained_product(jump)[self.pattern.free]
 
-    def back_substitute(self, right: Array) -> Array:
-        """Solve with the last factorization for the free unknowns, as exactly as that goes."""
+    def back_substitute(self, right: Array, *, refined: bool = True) -> Array:
+        """Solve with the last factorization for the free unknowns."""
         began = time.perf_counter()
-        solution = self.solver.solve(right)
+        solution = self.solver.solve(right, refined=refined)
         self._count("solve", began)
         return solution
 
