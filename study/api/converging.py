@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Self, cast
 from study.api.opened_study import load as load_study
 from study.execution.local import Executor
 from study.external.forward_model import ForwardCell
-from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
+from study.ground.files import own_folder
 from study.harness.design.load import RESULTS, design_root, file_kind, load, loaded_problem
 from study.harness.runner import study_refinement
 from study.harness.runner.batch import Progress as RunProgress

@@ -12,9 +12,8 @@ import numpy as np
 from study.api.comparison import explain
 from study.api.predicting import opened, surfaces_of
 from study.api.solving import solve
-from study.ground.atomic_files import write_atomic
-from study.ground.bounded_file import UnreadableError, read_json
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.files import UnreadableError, read_json, write_atomic
 from study.harness.design import load
 from study.harness.design.load import (
     REPORTS,

@@ -20,7 +20,6 @@ from study.api.opened_study import load as load_study
 from study.api.predicting import Permission
 from study.execution.local import Executor, Worker, check_limit, uncollected
 from study.external.command import Function, PythonFunction, check_allowed
-from study.ground.atomic_files import own_folder
 from study.ground.errors import (
     Fault,
     InputError,
@@ -29,6 +28,7 @@ from study.ground.errors import (
     StudyError,
     WriteError,
 )
+from study.ground.files import own_folder
 from study.harness.design.load import (
     REPORTS,
     RESULTS,

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeGuard, TypeVar
 
-from study.ground.bounded_file import NotRegularError, UnreadableError, read_regular
 from study.ground.declaration import (
     Bad,
     Key,
@@ -22,6 +21,7 @@ from study.ground.declaration import (
     written_keys,
 )
 from study.ground.errors import Fault, InputError, MissingDataError, UnitError, nearest
+from study.ground.files import NotRegularError, UnreadableError, read_regular
 
 Kind = TypeVar("Kind")
 Raw = TypeVar("Raw")

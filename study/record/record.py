@@ -15,11 +15,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from study.ground.atomic_files import write_atomic
-from study.ground.bounded_file import parse_json
 from study.ground.canonical import json_text, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, NewerSchemaError, StoreError, nearest
+from study.ground.files import parse_json, write_atomic
 from study.ground.tabular import is_formula
 from study.record.document import (
     CurveKey,

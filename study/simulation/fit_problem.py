@@ -29,11 +29,11 @@ from study.external.forward_model import (
     target_and_source,
 )
 from study.ground.arrays import Array
-from study.ground.bounded_file import UnreadableError, read_existing, sha256_of
 from study.ground.canonical import Json, digest, plain
 from study.ground.curve import Curve
 from study.ground.declaration import document_of, table_of
 from study.ground.errors import Fault, InputError, MissingDataError, nearest
+from study.ground.files import UnreadableError, read_existing, sha256_of
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve

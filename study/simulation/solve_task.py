@@ -12,10 +12,10 @@ import numpy as np
 
 from study.execution.local import Executor, Results, Task
 from study.external.command import External
-from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.errors import InputError
+from study.ground.files import own_folder
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.forward.finite_element import load_compiled
 from study.record.store import Store

@@ -20,10 +20,9 @@ from typing import TYPE_CHECKING, Any, TypedDict, cast
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.atomic_files import write_atomic
-from study.ground.bounded_file import read_json
 from study.ground.curve import Curve
 from study.ground.errors import StoreError
+from study.ground.files import read_json, write_atomic
 from study.mechanics.calibration.fit import Fit, ResidualFunction, fit
 from study.mechanics.calibration.levenberg_marquardt import Iteration, Status
 from study.mechanics.calibration.residual_function import EvaluationFailed

@@ -18,9 +18,9 @@ from typing import Protocol, cast
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.atomic_files import write_atomic, write_new
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.files import write_atomic, write_new
 from study.ground.tabular import csv_text
 from study.ground.units import parse
 from study.mechanics.material.energy import Compressibility

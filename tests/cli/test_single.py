@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from study import api
-from study.ground.atomic_files import write_atomic
 from study.ground.curve import Curve
 from study.ground.errors import InputError, WriteError
+from study.ground.files import write_atomic
 from tests.cli.small import (
     CSV,
     incompressible_force,

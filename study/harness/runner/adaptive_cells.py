@@ -13,10 +13,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from study.ground.arrays import Array
-from study.ground.atomic_files import ID
 from study.ground.canonical import digest
 from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
+from study.ground.files import ID
 from study.harness.design.layouts import share_of
 from study.harness.design.load import dump, loads
 from study.harness.design.spec import Design, ResponseSpec, Sequential, levels_at

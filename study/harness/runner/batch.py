@@ -22,9 +22,9 @@ from typing import Any, cast
 
 from study.execution.local import Document, Executor, Outcome, Results, Task
 from study.external.command import check_allowed
-from study.ground.bounded_file import read_json
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, RefusedError, nearest
+from study.ground.files import read_json
 from study.harness.design.load import dump
 from study.harness.design.spec import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
 from study.harness.runner.expansion import Work, case_job

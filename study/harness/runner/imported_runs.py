@@ -11,9 +11,9 @@ from pathlib import Path
 
 from study.external.forward_model import TAKEN, is_parameter
 from study.ground.arrays import gathered
-from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.files import own_folder
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
 from study.ground.units import agree, is_known, listed, unit_of_column
 from study.harness.design.load import dump, from_tables, loads

@@ -13,7 +13,6 @@ import numpy as np
 
 from study.ground import diagnostics
 from study.ground.arrays import Array, Ints
-from study.ground.atomic_files import write_atomic
 from study.ground.declaration import (
     Bad,
     Length,
@@ -30,6 +29,7 @@ from study.ground.declaration import (
 from study.ground.declaration import name as label
 from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.files import write_atomic
 from study.ground.tabular import MISSING, CsvTable, csv_text, read_csv
 from study.ground.units import unit_factor
 from study.laboratory.registration.rigid import check_places
