@@ -27,7 +27,7 @@ OPENS_OF = {
 }  # fmt: skip
 #: functions of ours with one of these names, and modules whose functions they are
 OURS = {"read_csv", "read_table", "read_json", "read_text", "read_bytes"}
-READERS = {"diagnostics", "files", "tabular", "tidy_csv", "self"}
+READERS = {"declaration", "files", "tabular", "tidy_csv", "self"}
 WRITING = {"w", "wb", "x", "xb", "a", "ab"}
 
 EXCEPTIONS = {

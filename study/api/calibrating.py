@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.diagnostics import Faults
+from study.ground.declaration import Faults
 from study.ground.errors import Fault, InputError
 from study.ground.files import own_folder, write_atomic, write_new
 from study.ground.tabular import csv_text

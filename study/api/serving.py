@@ -17,7 +17,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
-from study.ground.diagnostics import parse_toml
+from study.ground.declaration import parse_toml
 from study.ground.errors import Fault, InputError, StoreError
 from study.ground.files import holder, read_existing, read_regular
 from study.harness.design.load import REPORTS, RESULTS

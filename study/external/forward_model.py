@@ -25,11 +25,14 @@ from study.ground.declaration import (
     MAX_NAME,
     Bad,
     Duration,
+    Faults,
     Reads,
+    Table,
     document_of,
     flag,
     measured,
     name,
+    noted,
     quoted,
     reason,
     relative_path,
@@ -39,7 +42,6 @@ from study.ground.declaration import (
     text,
     word,
 )
-from study.ground.diagnostics import Faults, Table, noted
 from study.ground.errors import Fault, UnitError, nearest
 
 if TYPE_CHECKING:

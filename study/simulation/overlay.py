@@ -16,18 +16,21 @@ from study.ground.declaration import (
     MAX_NAME,
     AsWritten,
     Bad,
+    Faults,
     Field,
     Reads,
+    Table,
     choice,
     integer,
     keys_of,
+    noted,
     number,
     quantity,
+    read_table,
     section,
     shown,
     written_keys,
 )
-from study.ground.diagnostics import Faults, Table, noted, read_table
 from study.ground.errors import InputError, nearest
 from study.ground.units import INTERNAL
 from study.mechanics.material.energy import Compressibility, CompressibleEnergy, Energy

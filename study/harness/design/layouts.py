@@ -15,16 +15,19 @@ from study.ground.arrays import Array
 from study.ground.declaration import (
     AsWritten,
     Bad,
+    Faults,
     Reads,
     Rows,
     as_written,
     choice,
+    flatten,
     integer,
     name,
+    noted,
+    read_table,
     section,
     shown,
 )
-from study.ground.diagnostics import Faults, flatten, noted, read_table
 from study.ground.errors import nearest
 from study.harness.design import generators
 from study.harness.design.generators import Word, d_optimal, efficiency

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from study.ground.arrays import gathered
 from study.ground.canonical import Keyed
-from study.ground.declaration import Bad, table_of
-from study.ground.diagnostics import Faults
+from study.ground.declaration import Bad, Faults, table_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layouts import words_of

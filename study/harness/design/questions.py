@@ -16,24 +16,22 @@ from study.ground.contrast import Expected, Threshold
 from study.ground.declaration import (
     AsWritten,
     Bad,
+    Faults,
     Reads,
+    Table,
     as_written,
     choice,
+    entries,
+    flatten,
     integer,
+    is_known,
+    noted,
     number,
     quantity,
+    read_table,
     section,
     shown,
     text,
-)
-from study.ground.diagnostics import (
-    Faults,
-    Table,
-    entries,
-    flatten,
-    is_known,
-    noted,
-    read_table,
     with_values,
 )
 from study.ground.errors import UnitError, nearest

@@ -9,11 +9,25 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from study.ground import diagnostics, units
+from study.ground import units
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.ground.declaration import Bad, Reads, integer, measured, number, section, shown
-from study.ground.diagnostics import Faults, Table, read_table
+from study.ground.declaration import (
+    Bad,
+    Faults,
+    Reads,
+    Table,
+    integer,
+    measured,
+    number,
+    parse_override,
+    parse_toml,
+    read_table,
+    read_text,
+    section,
+    set_value,
+    shown,
+)
 from study.ground.errors import Fault, InputError
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.forward import finite_element
@@ -283,12 +297,12 @@ def load_requirement(
     """Load a file for ``study require``."""
     source = str(path)
     needed = "sensor requirements (TOML: a problem with [requirement])"
-    tables = diagnostics.parse_toml(diagnostics.read_text(path, needed), source)
+    tables = parse_toml(read_text(path, needed), source)
     rest = []
     for override in overrides:
-        keys, value = diagnostics.parse_override(override)
+        keys, value = parse_override(override)
         if keys[0] in (*OWN, "study"):
-            diagnostics.set_value(tables, keys, value)
+            set_value(tables, keys, value)
         else:
             rest.append(override)
     faults = Faults()

@@ -16,8 +16,7 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.canonical import plain
-from study.ground.declaration import keys_of
-from study.ground.diagnostics import toml_value
+from study.ground.declaration import keys_of, toml_value
 from study.ground.errors import Fault, InputError
 from study.ground.files import (
     is_workbook,

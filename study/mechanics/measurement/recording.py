@@ -14,8 +14,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from study.ground.arrays import Array, gathered
-from study.ground.declaration import Bad, relative_path
-from study.ground.diagnostics import Faults
+from study.ground.declaration import Bad, Faults, relative_path
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.ground.files import read_bytes, table_text
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, parse_csv
