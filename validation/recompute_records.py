@@ -10,7 +10,7 @@ from typing import Any
 
 from study.ground.declaration import table_of
 from study.ground.errors import InputError
-from study.record.document import CurveKey
+from study.record.record import CurveKey
 from study.simulation.response import simulated_at
 
 Config = Mapping[str, Any]

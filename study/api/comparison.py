@@ -14,8 +14,7 @@ from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.load import RESULTS, design_root, load, loads, results_folder
 from study.harness.runner.batch import manifest_of, read_truths
 from study.harness.runner.expansion import expand
-from study.record.document import ManifestDocument
-from study.record.record import Record
+from study.record.record import ManifestDocument, Record
 from study.record.store import Store, differences
 from study.reporting.content.comparison_content import summary
 from study.reporting.results import study_answers

@@ -18,7 +18,7 @@ from study.harness.design.load import RESULTS, design_root, results_folder
 from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress
-from study.record.document import are_imported
+from study.record.record import are_imported
 from study.simulation import overlay
 from study.simulation.fit_problem import NOTHING, Allowed
 from study.statistics.surfaces import surface_fitting

@@ -21,8 +21,7 @@ from study.ground.declaration import parse_toml
 from study.ground.errors import Fault, InputError, StoreError
 from study.ground.files import holder, read_existing, read_regular
 from study.harness.design.load import REPORTS, RESULTS
-from study.record.document import ManifestDocument, fault_of
-from study.record.record import CONVERGED, unseal
+from study.record.record import CONVERGED, ManifestDocument, fault_of, unseal
 from study.record.store import CURRENT, FileStamp
 from study.reporting.content.text import clean, slug
 from study.reporting.output.page import (

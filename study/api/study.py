@@ -56,7 +56,7 @@ from study.harness.runner.expansion import Work, expand
 from study.harness.runner.record_analysis import effects_by_depth
 from study.harness.runner.study_refinement import compare_spaces, validate
 from study.harness.runner.study_refinement import refine as refine_study
-from study.record.document import are_imported
+from study.record.record import are_imported
 from study.record.store import Store, is_same
 from study.reporting.figures.axes import load_libraries
 from study.reporting.output import write as provenance

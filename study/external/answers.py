@@ -33,7 +33,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve, spline_from_origin
 from study.ground.errors import Fault, InputError, UnitError, nearest
 from study.ground.files import UnreadableError, named_once, parse_json, read_regular
-from study.record.document import MarkerDocument, MeshDocument, ProgramDocument, SolverDocument
+from study.record.record import MarkerDocument, MeshDocument, ProgramDocument, SolverDocument
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template

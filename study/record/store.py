@@ -40,17 +40,20 @@ from study.ground.files import (
     write_atomic,
     write_error,
 )
-from study.record.document import (
+from study.record.record import (
+    CONVERGED,
     WITH_CONSTANTS,
     CurveKey,
     ManifestDocument,
+    Record,
     SolutionDocument,
     StoredFitDocument,
     fault_of,
     fault_of_curves,
     fault_of_fits,
+    seal,
+    unseal,
 )
-from study.record.record import CONVERGED, Record, seal, unseal
 
 # Results that are no records: fits that cases share, solutions of refinement series.
 

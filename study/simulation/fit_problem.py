@@ -47,7 +47,7 @@ from study.mechanics.setup.geometry import Block, Enclosed, Surface
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem, Setup
 from study.mechanics.setup.test_kind import Test
-from study.record.document import WITH_CONSTANTS, FitDocument, MeshDocument, SolverDocument
+from study.record.record import WITH_CONSTANTS, FitDocument, MeshDocument, SolverDocument
 from study.simulation.cell import Cell, CellProblem, tested
 from study.simulation.provenance import code_version
 

@@ -22,7 +22,7 @@ from study.mechanics.calibration.residual_function import EvaluationFailed, Meas
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.material.material import ENERGIES, is_dimensionless
 from study.mechanics.setup.material_section import MaterialSection
-from study.record.document import FitDocument
+from study.record.record import FitDocument
 from study.simulation.cell import CellProblem
 from study.simulation.fit_problem import (
     FitResult,

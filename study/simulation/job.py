@@ -22,8 +22,7 @@ from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.measurement.recording import Gauge, Recordings, read_recordings
 from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHING
 from study.mechanics.setup.setup import Setup
-from study.record.document import ResponseDocument
-from study.record.record import Record
+from study.record.record import Record, ResponseDocument
 from study.simulation.cell import Case, Cell, CellProblem, Config, case_id, tested
 from study.simulation.fit_problem import FitProblem, FitResult, fit_key, start_problem, together
 from study.simulation.provenance import versions

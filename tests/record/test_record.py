@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from study.ground.curve import Curve
 from study.ground.errors import StoreError
-from study.record.document import CurveKey
-from study.record.record import Record, replicate, seal
+from study.record.record import CurveKey, Record, replicate, seal
 from tests.record.samples import record
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

@@ -55,7 +55,7 @@ from study.harness.design.spec import (
     presets_from,
     set_whole,
 )
-from study.record.document import ManifestDocument
+from study.record.record import ManifestDocument
 from study.record.store import Store
 from study.simulation import overlay, plausibility
 from study.simulation.cell import Cell, CellProblem

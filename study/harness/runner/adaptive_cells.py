@@ -30,8 +30,7 @@ from study.harness.runner.record_analysis import (
     runs_of_records,
 )
 from study.harness.runner.study_refinement import COSTS
-from study.record.document import AdaptiveStep, ConfirmedRow, are_imported
-from study.record.record import Record, is_same_run
+from study.record.record import AdaptiveStep, ConfirmedRow, Record, are_imported, is_same_run
 from study.record.store import Store
 from study.simulation.fit_problem import Allowed
 from study.simulation.provenance import code_version

@@ -28,8 +28,7 @@ from study.ground.files import read_json
 from study.harness.design.load import dump
 from study.harness.design.spec import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
 from study.harness.runner.expansion import Work, case_job
-from study.record.document import ManifestDocument, RetryDocument
-from study.record.record import Record
+from study.record.record import ManifestDocument, Record, RetryDocument
 from study.record.store import Store
 from study.simulation.cell import CellProblem, tested
 from study.simulation.fit_problem import FitResult, externals

@@ -24,8 +24,16 @@ from study.ground.units import parse_number
 from study.harness.design.load import is_constant
 from study.harness.design.overview import SAMPLED
 from study.harness.design.questions import usual_value
-from study.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.record.record import Record, answered_often, is_repeat, is_same_run, table
+from study.record.record import (
+    NumericalCells,
+    NumericalRow,
+    Record,
+    answered_often,
+    fault_of_series,
+    is_repeat,
+    is_same_run,
+    table,
+)
 from study.simulation import overlay
 from study.simulation.response import CURVE_RESPONSES
 from study.statistics.analysis.analysis_request import (

@@ -25,8 +25,7 @@ from study.ground.declaration import table_of, with_table
 from study.ground.errors import Fault, InputError, StoreError
 from study.harness.runner.batch import Progress, computed, has_other_mesh, run_batch
 from study.harness.runner.expansion import Work, case_job
-from study.record.document import SpaceRow
-from study.record.record import Record
+from study.record.record import Record, SpaceRow
 from study.record.store import Store
 from study.simulation.cell import Case, Cell, Config, case_id
 from study.simulation.job import CaseJob, Origin, fits_of, varied
