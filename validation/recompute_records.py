@@ -78,7 +78,7 @@ def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any,
     """Resolve every case, by its levels, its block and the number of its mesh."""
     from study.harness.design.spec import cases
     from study.harness.runner.expansion import seeded
-    from study.simulation.fit_problem import located_cell
+    from study.simulation.job import located_cell
 
     places = () if data is None else (data.resolve(),)
     configs: dict[Any, Config] = {}

@@ -43,7 +43,7 @@ from study.simulation.calibration.model_comparison import (
     choose,
     compare,
 )
-from study.simulation.fit_problem import folders, located
+from study.simulation.job import folders, located
 from study.simulation.virtual_specimens import usual_generator, write_tests, write_virtual
 
 if TYPE_CHECKING:

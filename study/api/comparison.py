@@ -19,7 +19,7 @@ from study.record.store import Store, differences
 from study.reporting.content.comparison_content import summary
 from study.reporting.results import study_answers
 from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
-from study.simulation.fit_problem import externals
+from study.simulation.job import externals
 from study.simulation.provenance import versions
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 

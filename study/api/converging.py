@@ -28,7 +28,7 @@ from study.reporting.output.convergence_page import series_blocks, write_converg
 from study.reporting.output.page import Shown
 from study.simulation import refinement
 from study.simulation.cell import folder_name, tested
-from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.job import data_root, folders, located
 from study.simulation.problem_file import LoadedProblem
 from study.simulation.solve_task import Solver, by_workers, in_process, kept, store_of
 from study.simulation.tasks import default_jobs, processes

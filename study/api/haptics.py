@@ -39,7 +39,7 @@ from study.record.store import Store
 from study.reporting.content.text import THIN, duration, slug
 from study.reporting.output import laboratory_pages as pages
 from study.simulation.cell import CellProblem, tested
-from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.job import data_root, folders, located
 from study.simulation.problem_file import default_name
 from study.simulation.tasks import Costs, default_jobs
 from study.statistics.analysis.analysis_result import AnalysisResult

@@ -40,7 +40,7 @@ from study.harness.runner.study_refinement import (
 )
 from study.record.record import write_csv
 from study.record.store import Store
-from study.simulation.fit_problem import externals
+from study.simulation.job import externals
 from study.simulation.tasks import Costs, default_jobs, program_calls
 from study.statistics.analysis.analysis_request import on_scale, threshold
 from study.statistics.analysis.analysis_result import AnalysisResult

@@ -20,7 +20,7 @@ from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress
 from study.record.record import are_imported
 from study.simulation import overlay
-from study.simulation.fit_problem import NOTHING, Allowed
+from study.simulation.job import NOTHING, Allowed
 from study.statistics.surfaces import surface_fitting
 from study.statistics.surfaces.emulator import LARGEST, expected_seconds
 from study.statistics.surfaces.surface_factors import some_runs

@@ -62,7 +62,7 @@ from study.reporting.figures.axes import load_libraries
 from study.reporting.output import write as provenance
 from study.reporting.output.page import DETAILS
 from study.reporting.output.write import Difference, Verification, checked_formats, main_file, write
-from study.simulation.fit_problem import Allowed, externals, placed_files
+from study.simulation.job import Allowed, externals, placed_files
 from study.simulation.provenance import versions
 from study.simulation.tasks import Engine, computing_on, default_jobs, memory_of, processes
 from study.simulation.virtual_specimens import usual_generator, write_virtual

@@ -36,13 +36,15 @@ from study.record.record import (
 )
 from study.simulation import response
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import (
+from study.simulation.job import (
+    CONSTANTS,
+    CaseJob,
+    ScorePair,
     external_curve,
     external_of,
     judged_where_simulated,
     prediction_of,
 )
-from study.simulation.job import CONSTANTS, CaseJob, ScorePair
 from study.simulation.response import simulated_at
 
 if TYPE_CHECKING:

@@ -24,14 +24,14 @@ from study.mechanics.material.material import ENERGIES, is_dimensionless
 from study.mechanics.setup.material_section import MaterialSection
 from study.record.record import FitDocument
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import (
+from study.simulation.job import (
+    FitJob,
     FitResult,
     InverseExternal,
     described,
     prediction_of,
     status_of,
 )
-from study.simulation.job import FitJob
 from study.simulation.staged_fit import (
     FitPart,
     Predict,

@@ -31,7 +31,7 @@ from study.mechanics.material.relaxation import is_of_relaxation
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import MESH_LEVELS
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import FitPart as FitPart
+from study.simulation.job import FitPart as FitPart
 
 if TYPE_CHECKING:
     from study.mechanics.material.energy import Energy

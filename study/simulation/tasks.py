@@ -22,8 +22,7 @@ from study.ground.errors import Fault, InputError, UnitError
 from study.ground.units import parse
 from study.simulation import case, fit_task, solve_task
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import USUAL_EVALUATIONS, FitPart, FitProblem
-from study.simulation.job import CaseJob, FitJob
+from study.simulation.job import USUAL_EVALUATIONS, CaseJob, FitJob, FitPart, FitProblem
 from study.simulation.provenance import versions
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its

@@ -14,15 +14,7 @@ from study import api
 from study.ground.curve import Curve
 from study.ground.errors import InputError, WriteError
 from study.ground.files import write_atomic
-from tests.cli.small import (
-    CSV,
-    incompressible_force,
-    pressed,
-    refusal,
-    responses,
-    study,
-    success,
-)
+from tests.cli.small import CSV, incompressible_force, pressed, refusal, responses, study, success
 
 SOLVE_KEYS = {
     "status", "displacement_mm", "force_N", "stiffness_N_per_mm", "parameters", "force_gradient",

@@ -9,7 +9,7 @@ from study.mechanics.forward.closed_form import indentation
 from study.mechanics.setup.geometry import Cone
 from study.simulation import fit_task
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import fit_problem
+from study.simulation.job import fit_problem
 from tests.fem.problems import LONG
 
 HIGH = 1e9

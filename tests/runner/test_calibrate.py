@@ -16,7 +16,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.simulation import fit_task, staged_fit
 from study.simulation.calibration import calibrate_tests, model_comparison
-from study.simulation.fit_problem import FitProblem, fitted_test
+from study.simulation.job import FitProblem, fitted_test
 from tests.cli.small import refusal, study, success
 
 SPECIMEN = Cylinder(25.0, 30.0)

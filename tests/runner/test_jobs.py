@@ -6,8 +6,7 @@ from study.harness.design.load import loads
 from study.harness.runner.expansion import expand
 from study.simulation import case
 from study.simulation.cell import Case, Cell, CellProblem
-from study.simulation.fit_problem import FitResult, fit_problem
-from study.simulation.job import CaseJob, FitJob, ScorePair
+from study.simulation.job import CaseJob, FitJob, FitResult, ScorePair, fit_problem
 
 from .conftest import DESIGN
 

@@ -6,9 +6,8 @@ from study.ground.errors import InputError
 from study.harness.design import load
 from study.harness.runner.expansion import expand
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import fit_problem, together
 from study.simulation.fit_task import fitted
-from study.simulation.job import FitJob
+from study.simulation.job import FitJob, fit_problem, together
 from study.simulation.tasks import Costs
 from tests.cli.small import measured, pressed, responses
 from tests.runner.test_calibrate import write as write_tests

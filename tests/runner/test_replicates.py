@@ -18,8 +18,7 @@ from study.record.record import table
 from study.record.store import Store
 from study.simulation import fit_task
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import FitResult, fit_problem
-from study.simulation.job import FitJob
+from study.simulation.job import FitJob, FitResult, fit_problem
 from study.simulation.tasks import Costs
 
 from .conftest import DESIGN, SPECIMEN, compressed, fake, make_data

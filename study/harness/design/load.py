@@ -15,24 +15,18 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from study.external.forward_model import ValueFile, check_names, checked, overridden, stands_alone
+from study.ground import declaration
 from study.ground.contrast import sides_of
 from study.ground.declaration import (
     Faults,
     Table,
     Tables,
-    decode,
-    dump_toml,
     entries,
-    flatten,
     is_about,
     is_known,
     noted,
-    parse_override,
-    parse_toml,
     quoted_path,
     read_table,
-    read_text,
-    set_value,
     table_of,
 )
 from study.ground.errors import Fault, InputError, nearest
@@ -59,7 +53,7 @@ from study.record.record import ManifestDocument
 from study.record.store import Store
 from study.simulation import overlay, plausibility
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.job import data_root, folders, located
 from study.simulation.problem_file import (
     CalibrationDesign,
     CalibrationFile,
@@ -285,22 +279,22 @@ _SIMULATED = frozenset({"schema", "study", "specimen", "test", "material", "mode
 
 def from_tables(tables: Mapping[str, object]) -> str:
     """Text of a file that holds some tables: its own keys, texts with units or bare numbers."""
-    return dump_toml({"schema": 1, **overlay.with_units(tables)})
+    return declaration.dump_toml({"schema": 1, **overlay.with_units(tables)})
 
 
 def dump(design: Design) -> str:
     """Canonical TOML of a design, overrides included; :func:`loads` reads the same from it."""
-    return dump_toml(design.config)
+    return declaration.dump_toml(design.config)
 
 
 def problem_of(tables: Table, source: str, overrides: Sequence[str] = ()) -> CellProblem:
     """Problem of the tables of a file."""
-    return loads_problem(dump_toml(tables), source, overrides).problem
+    return loads_problem(declaration.dump_toml(tables), source, overrides).problem
 
 
 def file_kind(path: str | Path) -> str:
     """Kind of a file: ``"design"``, ``"calibration"``, ``"problem"``, or that of another verb."""
-    return _kind(parse_toml(read_text(path), str(path)))
+    return _kind(declaration.parse_toml(declaration.read_text(path), str(path)))
 
 
 def _kind(tables: Table) -> str:
@@ -325,9 +319,9 @@ def _shape(tables: Table) -> str:
 
 def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
     """Tables of a text with dotted keys joined and the overrides laid over."""
-    tables, faults = _joined(parse_toml(text, source), source), Faults()
+    tables, faults = _joined(declaration.parse_toml(text, source), source), Faults()
     for override in overrides:
-        path, value = parse_override(override)
+        path, value = declaration.parse_override(override)
         if path[0] in ("factors", "uncertainty"):
             path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
         _check_override(tables, path)
@@ -340,7 +334,7 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
         elif path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
             tables = overlay.lay(tables, {".".join(path): value})
         else:
-            set_value(tables, path, value)
+            declaration.set_value(tables, path, value)
     if faults:
         raise InputError(list(faults))
     return _joined(tables, source)
@@ -352,11 +346,11 @@ def _joined(tables: Tables, source: str) -> Tables:
         for key in ("factors", "uncertainty"):
             table = tables.get(key)
             if isinstance(table, dict):
-                tables[key] = flatten(table)
+                tables[key] = declaration.flatten(table)
         excluded = tables.get("exclude")
         for row in excluded if isinstance(excluded, list) else ():
             if isinstance(row, dict) and isinstance(row.get("when"), dict):
-                row["when"] = flatten(row["when"])
+                row["when"] = declaration.flatten(row["when"])
     except InputError as error:
         fault = error.faults[0]
         raise InputError(Fault(f"{source}: {fault.where}", fault.rule, fault.mend)) from error
@@ -513,14 +507,14 @@ class FileKind(Generic[File, Loaded]):
 
     def load(self, path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
         """Load a file; an override is ``"key=value"``."""
-        text = read_text(path, f"a {self.name}")
+        text = declaration.read_text(path, f"a {self.name}")
         return self.loads(text, str(path), overrides)
 
     def loads(
         self, raw: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
     ) -> Loaded:
         """Load a text, or the bytes of a file; see :meth:`load`."""
-        text = decode(raw, source) if isinstance(raw, bytes) else raw
+        text = declaration.decode(raw, source) if isinstance(raw, bytes) else raw
         tables = _tables(text, source, overrides)
         actual, faults = _kind(tables), Faults()
         # of a design that is begun all faults are listed; a whole problem is none

@@ -32,7 +32,7 @@ from study.harness.runner.record_analysis import (
 from study.harness.runner.study_refinement import COSTS
 from study.record.record import AdaptiveStep, ConfirmedRow, Record, are_imported, is_same_run
 from study.record.store import Store
-from study.simulation.fit_problem import Allowed
+from study.simulation.job import Allowed
 from study.simulation.provenance import code_version
 from study.simulation.tasks import processes
 from study.statistics.surfaces.emulator import (

@@ -31,8 +31,7 @@ from study.harness.runner.expansion import Work, case_job
 from study.record.record import ManifestDocument, Record, RetryDocument
 from study.record.store import Store
 from study.simulation.cell import CellProblem, tested
-from study.simulation.fit_problem import FitResult, externals
-from study.simulation.job import TRUTH_SUFFIX, CaseJob, FitJob, fits_of
+from study.simulation.job import TRUTH_SUFFIX, CaseJob, FitJob, FitResult, externals, fits_of
 from study.simulation.provenance import versions
 from study.simulation.refinement import base_size_mm
 from study.simulation.solve_task import LASTING

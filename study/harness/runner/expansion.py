@@ -18,28 +18,26 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.spec import MAX_CASES, Design, cases
 from study.record.record import Record, is_repeat
 from study.simulation.cell import Case, Treatment
-from study.simulation.fit_problem import (
+from study.simulation.job import (
     NOTHING,
     Allowed,
+    CaseJob,
+    DataCache,
+    FitJob,
     FitProblem,
+    Forward,
+    Origin,
     check_templates,
     fit_problem,
+    fits_of,
     folders,
     identity,
     located_cell,
     placed_files,
     placed_model,
-    surface_notes,
-)
-from study.simulation.job import (
-    CaseJob,
-    DataCache,
-    FitJob,
-    Forward,
-    Origin,
-    fits_of,
     repeated,
     score_pairs,
+    surface_notes,
 )
 from study.simulation.provenance import code_version
 from study.simulation.response import units_of

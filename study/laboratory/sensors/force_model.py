@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from study.ground import units
+from study.ground import declaration, units
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.declaration import (
@@ -20,12 +20,8 @@ from study.ground.declaration import (
     integer,
     measured,
     number,
-    parse_override,
-    parse_toml,
     read_table,
-    read_text,
     section,
-    set_value,
     shown,
 )
 from study.ground.errors import Fault, InputError
@@ -297,12 +293,12 @@ def load_requirement(
     """Load a file for ``study require``."""
     source = str(path)
     needed = "sensor requirements (TOML: a problem with [requirement])"
-    tables = parse_toml(read_text(path, needed), source)
+    tables = declaration.parse_toml(declaration.read_text(path, needed), source)
     rest = []
     for override in overrides:
-        keys, value = parse_override(override)
+        keys, value = declaration.parse_override(override)
         if keys[0] in (*OWN, "study"):
-            set_value(tables, keys, value)
+            declaration.set_value(tables, keys, value)
         else:
             rest.append(override)
     faults = Faults()

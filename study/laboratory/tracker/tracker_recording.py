@@ -11,6 +11,7 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 
+from study.ground import declaration
 from study.ground.arrays import Array, Ints
 from study.ground.declaration import (
     Bad,
@@ -21,9 +22,7 @@ from study.ground.declaration import (
     Schema,
     choice,
     number,
-    parse_toml,
     read_table,
-    read_text,
     section,
     shown,
     text,
@@ -158,7 +157,7 @@ def load_tracking(path: str | Path) -> TrackingFile:
     """Read a file of ``study tracking``."""
     source = str(path)
     needed = "a tracker study (TOML, which names the table in [recording])"
-    tables = parse_toml(read_text(path, needed), source)
+    tables = declaration.parse_toml(declaration.read_text(path, needed), source)
     faults = Faults()
     file = read_table(TrackingFile, tables, "", faults)
     if not faults:
@@ -169,7 +168,7 @@ def load_tracking(path: str | Path) -> TrackingFile:
 
 def is_tracking(path: str | Path) -> bool:
     """Whether a file is one of ``study tracking``: it has a table ``[recording]``."""
-    return "recording" in parse_toml(read_text(path), str(path))
+    return "recording" in declaration.parse_toml(declaration.read_text(path), str(path))
 
 
 def _across(tracking_file: TrackingFile) -> Sequence[Fault]:

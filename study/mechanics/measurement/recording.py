@@ -19,11 +19,7 @@ from study.ground.errors import Fault, InputError, MissingDataError
 from study.ground.files import read_bytes, table_text
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, parse_csv
 from study.ground.units import parse
-from study.mechanics.measurement.measurement_section import (
-    SECOND,
-    Columns,
-    MeasurementSpec,
-)
+from study.mechanics.measurement.measurement_section import SECOND, Columns, MeasurementSpec
 from study.mechanics.measurement.written_units import (
     DIMENSIONS,
     contradicts,

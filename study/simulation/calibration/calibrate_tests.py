@@ -31,7 +31,7 @@ from study.mechanics.material.stability import check
 from study.mechanics.measurement.conditioning import is_caution
 from study.mechanics.measurement.reading import first_notes
 from study.mechanics.measurement.recording import LARGEST_STRETCH
-from study.simulation import fit_problem, fit_task
+from study.simulation import fit_task
 from study.simulation.calibration.calibration_bound import estimated_bound, with_numerical
 from study.simulation.calibration.calibration_result import CalibrationResult, PartialFit
 from study.simulation.calibration.measured_tests import (
@@ -54,7 +54,7 @@ from study.simulation.calibration.resampling import (
     refuse_bootstrap,
     scattered,
 )
-from study.simulation.fit_problem import FitProblem, fitted_test, start_problem, status_of
+from study.simulation.job import FitProblem, fitted_test, stability_over, start_problem, status_of
 from study.simulation.problem_file import CalibratedTest, CalibrationDesign
 from study.simulation.provenance import code_version
 from study.simulation.response import residual_N
@@ -383,7 +383,7 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         judged_as, message = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
         reached = [(setting.tests[c.test].problem.setup, c.curve.displacement_mm) for c in curves]
-        judged_stable = fit_problem.stability_over(material, reached)
+        judged_stable = stability_over(material, reached)
         stable, stability = judged_stable.stable, judged_stable.sentence
     ordered = in_order(predictions)
     weighted = [

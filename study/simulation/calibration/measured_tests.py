@@ -21,8 +21,7 @@ from study.mechanics.measurement.measured_test import MeasuredTest, checked
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.setup.calibration_table import Fitting, Loss
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
-from study.simulation.fit_problem import fitted_test
-from study.simulation.job import gauge_of
+from study.simulation.job import fitted_test, gauge_of
 from study.simulation.problem_file import OFFSET, CalibratedTest, NuisanceInput, Role
 from study.simulation.response import CURVE_RESPONSES, residual_N
 from study.simulation.staged_fit import FitPart
