@@ -200,7 +200,7 @@ def test_code_version_follows_what_the_tasks_import():
     needed = {
         "ground/curve.py",
         "simulation/response.py",
-        "simulation/staged_fit.py",
+        "simulation/fit_task.py",
         "mechanics/element/assembly.py",
         "mechanics/forward/closed_form.py",
         "mechanics/forward/finite_element.py",

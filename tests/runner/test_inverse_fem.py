@@ -11,8 +11,8 @@ from study.mechanics.solver.load_path import LoadPath
 from study.simulation import fit_task
 from study.simulation.calibration.calibration_bound import estimated_bound
 from study.simulation.cell import CellProblem
-from study.simulation.staged_fit import TOLERANCES, StagedSearch, staged_fit
-from study.simulation.staged_fit import FitPart as Part
+from study.simulation.fit_task import TOLERANCES, StagedSearch, staged_fit
+from study.simulation.fit_task import FitPart as Part
 from tests.forward.test_halfspace import INDENTERS
 
 from .conftest import compressed

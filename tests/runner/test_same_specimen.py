@@ -10,8 +10,8 @@ from study.harness.runner.expansion import expand
 from study.mechanics.calibration.lack_of_fit import agreement
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.simulation import fit_task
-from study.simulation.staged_fit import FitPart as Part
-from study.simulation.staged_fit import StagedSearch, staged_fit
+from study.simulation.fit_task import FitPart as Part
+from study.simulation.fit_task import StagedSearch, staged_fit
 from study.simulation.virtual_specimens import TRUTHS, Generator, write_virtual
 
 DESIGN = Path(__file__).parents[2] / "designs" / "same-specimen.toml"

@@ -12,8 +12,8 @@ from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.simulation import fit_task
 from study.simulation.cell import CellProblem
-from study.simulation.staged_fit import Checkpoint, StagedSearch, gentler, staged_fit
-from study.simulation.staged_fit import FitPart as Part
+from study.simulation.fit_task import Checkpoint, StagedSearch, gentler, staged_fit
+from study.simulation.fit_task import FitPart as Part
 
 DESIGN = Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml"
 NAMES = ("C10", "C20", "C30")

@@ -54,11 +54,7 @@ from study.simulation.calibration.resampling import (
     refuse_bootstrap,
     scattered,
 )
-from study.simulation.job import FitProblem, fitted_test, stability_over, start_problem, status_of
-from study.simulation.problem_file import CalibratedTest, CalibrationDesign
-from study.simulation.provenance import code_version
-from study.simulation.response import residual_N
-from study.simulation.staged_fit import (
+from study.simulation.fit_task import (
     NO_LIMITS,
     Checkpoint,
     Limits,
@@ -72,6 +68,10 @@ from study.simulation.staged_fit import (
     named_open,
     staged_fit,
 )
+from study.simulation.job import FitProblem, fitted_test, stability_over, start_problem, status_of
+from study.simulation.problem_file import CalibratedTest, CalibrationDesign
+from study.simulation.provenance import code_version
+from study.simulation.response import residual_N
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit

@@ -25,10 +25,16 @@ from study.mechanics.forward.formal_order import formal_order
 from study.mechanics.setup.setup import MESH_LEVELS
 from study.simulation import fit_task
 from study.simulation.calibration.measured_tests import in_order, parts_of, read_tests
-from study.simulation.fit_task import InverseFem
+from study.simulation.fit_task import (
+    FitPart,
+    InverseFem,
+    Predict,
+    Progress,
+    StagedSearch,
+    single_stage,
+)
 from study.simulation.problem_file import CalibrationDesign
 from study.simulation.response import in_shown_units
-from study.simulation.staged_fit import FitPart, Predict, Progress, StagedSearch, single_stage
 from study.statistics.convergence.grid_convergence import grid_convergence, series_bounds
 
 if TYPE_CHECKING:

@@ -29,9 +29,9 @@ from study.mechanics.calibration.serial_correlation import row_noise
 from study.simulation import fit_task
 from study.simulation.calibration.measured_tests import FitCurve, parts_of
 from study.simulation.cell import CellProblem
+from study.simulation.fit_task import TOLERANCES, FitPart
 from study.simulation.job import fitted_test
 from study.simulation.problem_file import FRICTION, OFFSET, ZERO, CalibratedTest
-from study.simulation.staged_fit import TOLERANCES, FitPart
 
 
 def parameters_of(

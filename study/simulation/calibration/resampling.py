@@ -21,17 +21,19 @@ from study.ground.errors import Fault, InputError
 from study.mechanics.material.relaxation import is_of_relaxation
 from study.simulation import fit_task
 from study.simulation.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
-from study.simulation.fit_task import Residuals, resampled, residuals_of
-from study.simulation.problem_file import CalibratedTest, CalibrationDesign
-from study.simulation.response import in_shown_units
-from study.simulation.staged_fit import (
+from study.simulation.fit_task import (
     FitPart,
+    Residuals,
     StagedSearch,
     energy_of,
+    resampled,
+    residuals_of,
     single_stage,
     with_moduli,
     within,
 )
+from study.simulation.problem_file import CalibratedTest, CalibrationDesign
+from study.simulation.response import in_shown_units
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
