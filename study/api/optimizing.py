@@ -25,7 +25,7 @@ from study.ground import tabular, units
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
 from study.harness.design.load import RESULTS
-from study.harness.design.questions import usual_value
+from study.harness.design.spec import usual_value
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.record_analysis import at_levels, coded_settings
 from study.mechanics.calibration.serial_correlation import (

@@ -31,23 +31,21 @@ from study.ground.declaration import (
 )
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design.layouts import scheme_from
-from study.harness.design.questions import (
-    analysis_from,
-    expected_from,
-    responses_from,
-    uncertainty_from,
-)
 from study.harness.design.spec import (
     RESPONSES_MEND,
     Design,
     DesignFile,
     Level,
     Presets,
+    analysis_from,
     exclusions_from,
+    expected_from,
     factors_from,
     grouped,
     presets_from,
+    responses_from,
     set_whole,
+    uncertainty_from,
 )
 from study.record.record import ManifestDocument
 from study.record.store import Store

@@ -23,7 +23,7 @@ from study.ground.tabular import names_of
 from study.ground.units import parse_number
 from study.harness.design.load import is_constant
 from study.harness.design.overview import SAMPLED
-from study.harness.design.questions import usual_value
+from study.harness.design.spec import usual_value
 from study.record.record import (
     NumericalCells,
     NumericalRow,
