@@ -77,7 +77,7 @@ def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job
 def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any, Config]:
     """Resolve every case, by its levels, its block and the number of its mesh."""
     from study.harness.design.spec import cases
-    from study.harness.runner.expansion import seeded
+    from study.harness.runner.batch import seeded
     from study.simulation.job import located_cell
 
     places = () if data is None else (data.resolve(),)

@@ -12,8 +12,7 @@ from study.api.opened_study import load as load_study
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.load import RESULTS, design_root, load, loads, results_folder
-from study.harness.runner.batch import manifest_of, read_truths
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand, manifest_of, read_truths
 from study.record.record import ManifestDocument, Record
 from study.record.store import Store, differences
 from study.reporting.content.comparison_content import summary

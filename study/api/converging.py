@@ -17,8 +17,7 @@ from study.ground.files import own_folder
 from study.harness.design.load import RESULTS, design_root, file_kind, load, loaded_problem
 from study.harness.runner import study_refinement
 from study.harness.runner.batch import Progress as RunProgress
-from study.harness.runner.batch import computed
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import computed, expand
 from study.harness.runner.study_refinement import refine_cases, refine_within, stored_convergence
 from study.mechanics.forward.formal_order import FormalOrder
 from study.mechanics.setup.setup import Tables

@@ -23,7 +23,7 @@ from study.harness.design.load import (
     results_folder,
 )
 from study.harness.design.spec import Design
-from study.harness.runner.expansion import cases_by_id
+from study.harness.runner.batch import cases_by_id
 from study.laboratory.haptics import haptic_export
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement

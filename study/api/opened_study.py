@@ -13,7 +13,7 @@ from study.harness.design.load import RESULTS, dump, finished_manifest, loads, r
 from study.harness.design.spec import Analysis, Design
 from study.harness.runner import record_analysis
 from study.harness.runner.adaptive_cells import CONFIRMED, joined
-from study.harness.runner.expansion import Work, cases_by_id, relabeled
+from study.harness.runner.batch import Work, cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
 from study.harness.runner.record_analysis import unit_of
 from study.mechanics.measurement.conditioning import is_caution

@@ -29,8 +29,7 @@ from study.harness.design.load import (
 from study.harness.design.overview import Overview, overview
 from study.harness.design.spec import Design, ResponseSpec
 from study.harness.runner.adaptive_cells import continued
-from study.harness.runner.batch import missing, open_fits
-from study.harness.runner.expansion import Work, expand
+from study.harness.runner.batch import Work, expand, missing, open_fits
 from study.harness.runner.study_refinement import (
     in_blocks,
     input_work,

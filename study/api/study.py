@@ -44,15 +44,16 @@ from study.harness.runner.adaptive_cells import continued, run_adaptive
 from study.harness.runner.batch import (
     WARN,
     Progress,
+    Work,
     check_choice,
     check_stale,
+    expand,
     in_phase,
     manifest_of,
     mixed_meshes,
     noted_progress,
     run_batch,
 )
-from study.harness.runner.expansion import Work, expand
 from study.harness.runner.record_analysis import effects_by_depth
 from study.harness.runner.study_refinement import compare_spaces, validate
 from study.harness.runner.study_refinement import refine as refine_study

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from study.harness.design.load import loads
-from study.harness.runner.batch import run_batch
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand, run_batch
 from study.mechanics.forward.finite_element import Anchors
 from study.record.record import CurveKey, table
 from study.record.store import Store

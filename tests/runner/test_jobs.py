@@ -3,7 +3,7 @@
 import pytest
 
 from study.harness.design.load import loads
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand
 from study.simulation import case
 from study.simulation.cell import Case, Cell, CellProblem
 from study.simulation.job import CaseJob, FitJob, FitResult, ScorePair, fit_problem

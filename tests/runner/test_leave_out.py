@@ -4,7 +4,7 @@ import pytest
 
 from study.ground.errors import InputError
 from study.harness.design import load
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand
 from study.simulation.cell import Cell, CellProblem
 from study.simulation.fit_task import fitted
 from study.simulation.job import FitJob, fit_problem, together

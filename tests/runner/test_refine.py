@@ -6,7 +6,7 @@ import pytest
 
 from study.harness.design.load import load
 from study.harness.runner import study_refinement
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand
 from study.simulation import refinement
 from study.simulation.tasks import Costs
 

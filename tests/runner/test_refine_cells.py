@@ -11,8 +11,7 @@ from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
 from study.harness.design.load import loads
 from study.harness.runner import record_analysis, study_refinement
-from study.harness.runner.batch import manifest_of, run_batch
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand, manifest_of, run_batch
 from study.harness.runner.study_refinement import refine_within
 from study.record.record import Record
 from study.record.store import Store

@@ -7,8 +7,7 @@ from study.api.analyzing import analyze
 from study.api.opened_study import load as open_study
 from study.api.study import report
 from study.harness.design.load import loads
-from study.harness.runner.batch import manifest_of
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand, manifest_of
 from study.harness.runner.study_refinement import own_series, refine
 from study.record.store import Store
 from study.simulation.refinement import base_size_mm

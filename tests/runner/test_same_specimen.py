@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from study.harness.design import load
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand
 from study.mechanics.calibration.lack_of_fit import agreement
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.simulation import fit_task

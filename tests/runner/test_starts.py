@@ -7,7 +7,7 @@ import pytest
 
 from study.ground.curve import Curve
 from study.harness.design.load import load
-from study.harness.runner import expansion
+from study.harness.runner.batch import expand
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.simulation import fit_task
@@ -155,7 +155,7 @@ def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir):
     """
     if not (data_dir / "ecoflex_compression").is_dir():
         pytest.skip("the Ecoflex measurements are not in the data folder (set STUDY_DATA)")
-    work = expansion.expand(load(DESIGN), data_dir)
+    work = expand(load(DESIGN), data_dir)
     solid, round_ = (_third_order_fit(work, space) for space in ("3d", "axisymmetric"))
     assert solid.status == "converged", solid.message
     # the equivalent axisymmetric fit of the same curve: C10 to 0.1 %, and the same fit of it

@@ -8,7 +8,7 @@ import pytest
 from study import api
 from study.ground.errors import InputError
 from study.harness.design.load import load, load_problem
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand
 from study.harness.runner.study_refinement import chosen_series, refinement_work
 from study.record.record import Record
 from study.simulation.calibration import model_comparison

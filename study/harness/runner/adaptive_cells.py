@@ -20,8 +20,7 @@ from study.ground.files import ID
 from study.harness.design.layouts import share_of
 from study.harness.design.load import dump, loads
 from study.harness.design.spec import Design, ResponseSpec, Sequential, levels_at
-from study.harness.runner.batch import Progress, run_batch
-from study.harness.runner.expansion import Work, expand, relabeled
+from study.harness.runner.batch import Progress, Work, expand, relabeled, run_batch
 from study.harness.runner.record_analysis import (
     at_levels,
     coded_settings,

@@ -18,7 +18,7 @@ from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
 from study.ground.units import agree, is_known, listed, unit_of_column
 from study.harness.design.load import dump, from_tables, loads
 from study.harness.design.spec import Design, cases, level_label
-from study.harness.runner.expansion import seeded
+from study.harness.runner.batch import seeded
 from study.record.record import MADE_ELSEWHERE, STATUSES, ManifestDocument, Record, are_imported
 from study.record.store import Store
 from study.simulation.cell import Case

@@ -23,8 +23,7 @@ from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.declaration import table_of, with_table
 from study.ground.errors import Fault, InputError, StoreError
-from study.harness.runner.batch import Progress, computed, has_other_mesh, run_batch
-from study.harness.runner.expansion import Work, case_job
+from study.harness.runner.batch import Progress, Work, case_job, computed, has_other_mesh, run_batch
 from study.record.record import Record, SpaceRow
 from study.record.store import Store
 from study.simulation.cell import Case, Cell, Config, case_id
