@@ -28,7 +28,7 @@ from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS
 from study.mechanics.setup.setup import Model
 from study.mechanics.setup.test_kind import Test
-from study.simulation.overlay import MaterialTable
+from study.simulation.problem_file import MaterialTable
 
 HERE = Path(__file__).parent
 #: Header of a table in a file, and the class that declares its keys.

@@ -52,8 +52,8 @@ if TYPE_CHECKING:
     from study.reporting.content.blocks import Block as ResultBlock
     from study.reporting.figures.axes import Drawing
     from study.reporting.figures.curve_figures import FitPanel
+    from study.simulation.calibration.calibration_file import CalibrationDesign
     from study.simulation.fit_task import FitStep
-    from study.simulation.problem_file import CalibrationDesign
 
 
 # Curves of a calibration as the panels of its figure.

@@ -49,18 +49,23 @@ from study.harness.design.spec import (
 )
 from study.record.record import ManifestDocument
 from study.record.store import Store
-from study.simulation import overlay, plausibility
+from study.simulation import plausibility
+from study.simulation.calibration.calibration_file import (
+    CalibrationDesign,
+    CalibrationFile,
+    resolve_calibration,
+)
 from study.simulation.cell import Cell, CellProblem
 from study.simulation.job import data_root, folders, located
 from study.simulation.problem_file import (
-    CalibrationDesign,
-    CalibrationFile,
+    TABLES,
     LoadedProblem,
     ProblemFile,
     default_name,
     identification_from,
-    resolve_calibration,
+    lay,
     resolve_problem,
+    with_units,
 )
 from study.simulation.response import MARKED, RESPONSES, SCORED, is_simulated, simulated_at
 
@@ -277,7 +282,7 @@ _SIMULATED = frozenset({"schema", "study", "specimen", "test", "material", "mode
 
 def from_tables(tables: Mapping[str, object]) -> str:
     """Text of a file that holds some tables: its own keys, texts with units or bare numbers."""
-    return declaration.dump_toml({"schema": 1, **overlay.with_units(tables)})
+    return declaration.dump_toml({"schema": 1, **with_units(tables)})
 
 
 def dump(design: Design) -> str:
@@ -329,8 +334,8 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
             value = noted(read, value, f"-s parameters.{path[1]}", faults)
         if path[0] in ("factors", "uncertainty") and len(path) > 1 and isinstance(current, dict):
             tables[path[0]] = set_whole(current, path[1], value)
-        elif path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
-            tables = overlay.lay(tables, {".".join(path): value})
+        elif path[0] in TABLES and len(path) > 1 and not any("." in part for part in path):
+            tables = lay(tables, {".".join(path): value})
         else:
             declaration.set_value(tables, path, value)
     if faults:

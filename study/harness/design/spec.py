@@ -69,15 +69,24 @@ from study.ground.errors import Fault, InputError, UnitError, nearest
 from study.ground.tabular import NUMBER
 from study.ground.units import parse, split
 from study.harness.design.generators import Word, model_columns
-from study.simulation import overlay
 from study.simulation.cell import Case, Cell, Combination, Treatment, block_ids
 from study.simulation.problem_file import (
+    ANY,
+    PLACES,
+    TABLES,
+    VARYING,
+    WHOLE,
     Converge,
     Identification,
     ProblemFile,
     Report,
     Virtual,
+    dimension_of,
+    lay,
+    may_vary,
     resolve,
+    suggestion,
+    value_at,
 )
 from study.simulation.response import (
     AT_DISPLACEMENT,
@@ -488,9 +497,9 @@ class Design:
         if level_ids in sound:
             return sound[level_ids]
         settings = {k: v for level in levels for k, v in level.settings.items()}
-        tables = {k: v for k, v in self.config.items() if k in overlay.TABLES}
+        tables = {k: v for k, v in self.config.items() if k in TABLES}
         cell_faults = Faults()
-        cell = resolve(overlay.lay(tables, settings), self.config, self.converge, cell_faults)
+        cell = resolve(lay(tables, settings), self.config, self.converge, cell_faults)
         if not cell_faults:
             sound[level_ids] = cell
         for fault in cell_faults:
@@ -570,7 +579,7 @@ def presets_from(table: object, faults: Faults) -> Presets:
         where = f"presets.{quoted(set_name)}"
         if not _readable(set_name, where, faults):
             continue
-        prefix = f"{set_name}." if set_name in overlay.TABLES else ""
+        prefix = f"{set_name}." if set_name in TABLES else ""
         presets[set_name] = {
             label.strip(): _settings(level, prefix, f"{where}.{quoted(label)}", faults)
             for label, level in entries(levels, where, faults).items()
@@ -580,10 +589,10 @@ def presets_from(table: object, faults: Faults) -> Presets:
 
 
 def _settings(level: object, prefix: str, where: str, faults: Faults) -> Table:
-    settings = flatten(entries(level, where, faults), prefix, overlay.WHOLE)
-    for key in [key for key in settings if not overlay.may_vary(key)]:
+    settings = flatten(entries(level, where, faults), prefix, WHOLE)
+    for key in [key for key in settings if not may_vary(key)]:
         inner = quoted_path(key.removeprefix(prefix))
-        faults.add(f"{where}.{inner}", "unknown key", overlay.suggestion(key))
+        faults.add(f"{where}.{inner}", "unknown key", suggestion(key))
         del settings[key]
     return settings
 
@@ -610,7 +619,7 @@ def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Facto
         faults.add(f"factors.{quoted_path(key)}", rule, "keep one of the two")
     factors: list[Factor] = []
     for key, value in grouped(written).items():
-        if isinstance(value, Mapping) and key not in presets and overlay.may_vary(key):
+        if isinstance(value, Mapping) and key not in presets and may_vary(key):
             factors += _range(key, value, f"factors.{quoted_path(key)}", faults)
         elif levels := _levels(key, value, presets, faults):
             factors.append(Factor(key, levels))
@@ -620,16 +629,16 @@ def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Facto
 
 def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[Level, ...]:
     where = f"factors.{quoted_path(key)}"
-    if key not in presets and not overlay.may_vary(key):
+    if key not in presets and not may_vary(key):
         table, _, rest = key.partition(".")
         if table == "parameters":  # whose names are the user's own
             noted(parameter_name, rest, where, faults)
             return ()
-        valid = [*presets, *(k for k in overlay.VARYING if k.partition(".")[0] == table)]
-        mend = nearest(key[:MAX_NAME], valid) if valid else overlay.suggestion(key)
-        if table in written_keys(DesignFile) and table not in overlay.TABLES:
+        valid = [*presets, *(k for k in VARYING if k.partition(".")[0] == table)]
+        mend = nearest(key[:MAX_NAME], valid) if valid else suggestion(key)
+        if table in written_keys(DesignFile) and table not in TABLES:
             mend = f"[{table}] is the same in every cell; keys of these may vary: "
-            mend += ", ".join(overlay.TABLES)
+            mend += ", ".join(TABLES)
         faults.add(where, "is neither a key that may vary nor a preset set", mend)
         return ()
     if not isinstance(value, list):
@@ -680,7 +689,7 @@ def _check_overlap(factors: Sequence[Factor], faults: Faults) -> None:
         slots = set()
         for key in factor.keys:  # or the first of the keys that cannot stand beside it
             table, _, last = key.rpartition(".")
-            alternatives = overlay.PLACES[table].alternatives if table in overlay.PLACES else ()
+            alternatives = PLACES[table].alternatives if table in PLACES else ()
             slots.add(f"{table}.{alternatives[0]}" if last in alternatives else key)
         for slot in slots:
             if owner.setdefault(slot, factor.name) != factor.name:
@@ -746,7 +755,7 @@ def grouped(table: Table, parts: Collection[str] = RANGE_KEYS) -> dict[str, obje
     ends: dict[str, dict[str, object]] = {}
     for key, value in table.items():
         name, _, end = key.rpartition(".")
-        if name and end in parts and not overlay.may_vary(key):
+        if name and end in parts and not may_vary(key):
             joined[name] = ends.setdefault(name, {})
             ends[name][end] = value
         else:
@@ -765,7 +774,7 @@ def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
 
 def _range(key: str, value: Table, where: str, faults: Faults) -> list[Factor]:
     """Factor of a range, with its two ends as levels; none where it is faulty."""
-    dimension = overlay.dimension(key)
+    dimension = dimension_of(key)
     if dimension is None:
         faults.add(where, "is no number, so it has no range", "list its levels: [.., ..]")
         return []
@@ -798,7 +807,7 @@ def _end(raw: object, dimension: str) -> tuple[float, str]:
     """Value and unit of one end, the unit as written."""
     if dimension == "number":
         return number()(raw), ""
-    if dimension == overlay.ANY:
+    if dimension == ANY:
         return number_and_unit(raw)
     parse(raw, dimension)
     match = _QUANTITY.fullmatch(str(raw))
@@ -840,7 +849,7 @@ def _range_level(key: str, text: str, unit: str) -> Level:
 def setting_in(factor: Factor, raw: object) -> Level:
     """Level of a factor with a range at one setting, as it is written: a number with its unit."""
     span = cast("NumericFactor", factor.span)
-    value, unit = _end(raw, overlay.dimension(factor.name) or "number")
+    value, unit = _end(raw, dimension_of(factor.name) or "number")
     if unit != span.unit:
         raise Bad(f"{shown(raw)} is not in {span.unit!r}, the unit of its range")
     if not span.low <= value <= span.high:
@@ -975,20 +984,20 @@ def uncertainty_from(
     distributions: dict[str, InputDistribution] = {}
     spans = {factor.name: factor.span for factor in factors if factor.span is not None}
     for key, raw in grouped(entries(table, "uncertainty", faults), DISTRIBUTION_KEYS).items():
-        where, kind, span = f"uncertainty.{key}", overlay.dimension(key), spans.get(key)
+        where, kind, span = f"uncertainty.{key}", dimension_of(key), spans.get(key)
         if kind is None:
-            faults.add(where, "names no input with a value", overlay.suggestion(key))
+            faults.add(where, "names no input with a value", suggestion(key))
             continue
         if isinstance(raw, Mapping):
             read = _distribution(key, raw, kind, span, list(spans), faults)
         else:
             in_range = _number_of("sd", kind, "" if span is None else span.unit)
-            read_size = in_range if kind in ("number", overlay.ANY) else quantity(kind)
+            read_size = in_range if kind in ("number", ANY) else quantity(kind)
             size, read = noted(read_size, raw, where, faults), None
             if size is not None:
                 plain[key] = size
             if size is not None and span is not None:
-                about = usual_value(key, kind, span, config), in_range(raw)
+                about = usual_value(key, span, config), in_range(raw)
                 read = InputDistribution("normal", about, span.low, span.high)
         if read is not None and read.outside > MOST_OUTSIDE:
             rule = (
@@ -1049,7 +1058,7 @@ def _number_of(name: str, kind: str, unit: str) -> Callable[[object], float]:
         return number(low)
 
     def read(value: object) -> float:
-        if kind == overlay.ANY:
+        if kind == ANY:
             size = number_in(value, unit)
         else:
             size = units.parse(value, kind) / units.parse(f"1 {unit}", kind)
@@ -1060,14 +1069,14 @@ def _number_of(name: str, kind: str, unit: str) -> Callable[[object], float]:
     return read
 
 
-def usual_value(key: str, kind: str, span: NumericFactor, config: Table) -> float:
+def usual_value(key: str, span: NumericFactor, config: Table) -> float:
     """Value that a file gives to a range beside its ends, else the middle of the range."""
-    node = overlay.value_at(config, key)
+    node = value_at(config, key)
     middle = span.at(0.5)
     if isinstance(node, bool) or not isinstance(node, str | int | float):
         return middle
     try:
-        value = _number_of("mean", kind, span.unit)(node)
+        value = _number_of("mean", dimension_of(key) or "number", span.unit)(node)
     except (UnitError, ValueError):  # told where the value stands
         return middle
     return value if span.low <= value <= span.high else middle

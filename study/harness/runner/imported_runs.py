@@ -22,8 +22,7 @@ from study.harness.runner.batch import seeded
 from study.record.record import MADE_ELSEWHERE, STATUSES, ManifestDocument, Record, are_imported
 from study.record.store import Store
 from study.simulation.cell import Case
-from study.simulation.overlay import TABLES
-from study.simulation.problem_file import default_name
+from study.simulation.problem_file import TABLES, default_name
 from study.simulation.provenance import versions
 from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import settings_run

@@ -34,7 +34,6 @@ from study.record.record import (
     is_same_run,
     table,
 )
-from study.simulation import overlay
 from study.simulation.response import CURVE_RESPONSES
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
@@ -480,7 +479,7 @@ def _finished(
     uncertain = None
     if design.inputs:
         fixed = {
-            n: usual_value(n, overlay.dimension(n) or "number", span, design.config)
+            n: usual_value(n, span, design.config)
             for n, span in design.ranges.items()
             if n not in design.inputs
         }

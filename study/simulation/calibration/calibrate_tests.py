@@ -33,6 +33,7 @@ from study.mechanics.measurement.reading import first_notes
 from study.mechanics.measurement.recording import LARGEST_STRETCH
 from study.simulation import fit_task
 from study.simulation.calibration.calibration_bound import estimated_bound, with_numerical
+from study.simulation.calibration.calibration_file import CalibratedTest, CalibrationDesign
 from study.simulation.calibration.calibration_result import CalibrationResult, PartialFit
 from study.simulation.calibration.measured_tests import (
     FitCurve,
@@ -69,7 +70,6 @@ from study.simulation.fit_task import (
     staged_fit,
 )
 from study.simulation.job import FitProblem, fitted_test, stability_over, start_problem, status_of
-from study.simulation.problem_file import CalibratedTest, CalibrationDesign
 from study.simulation.provenance import code_version
 from study.simulation.response import residual_N
 

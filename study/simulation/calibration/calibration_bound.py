@@ -24,6 +24,7 @@ from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.forward.formal_order import formal_order
 from study.mechanics.setup.setup import MESH_LEVELS
 from study.simulation import fit_task
+from study.simulation.calibration.calibration_file import CalibrationDesign
 from study.simulation.calibration.measured_tests import in_order, parts_of, read_tests
 from study.simulation.fit_task import (
     FitPart,
@@ -33,7 +34,6 @@ from study.simulation.fit_task import (
     StagedSearch,
     single_stage,
 )
-from study.simulation.problem_file import CalibrationDesign
 from study.simulation.response import in_shown_units
 from study.statistics.convergence.grid_convergence import grid_convergence, series_bounds
 

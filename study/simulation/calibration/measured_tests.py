@@ -21,9 +21,14 @@ from study.mechanics.measurement.measured_test import MeasuredTest, checked
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.setup.calibration_table import Fitting, Loss
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
+from study.simulation.calibration.calibration_file import (
+    OFFSET,
+    CalibratedTest,
+    NuisanceInput,
+    Role,
+)
 from study.simulation.fit_task import FitPart
 from study.simulation.job import fitted_test, gauge_of
-from study.simulation.problem_file import OFFSET, CalibratedTest, NuisanceInput, Role
 from study.simulation.response import CURVE_RESPONSES, residual_N
 
 #: ratio of the largest forces of two fitted tests from which equal weights hide the smaller

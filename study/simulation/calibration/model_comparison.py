@@ -29,11 +29,11 @@ from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import is_dimensionless, unit_shown
 from study.simulation import fit_task
 from study.simulation.calibration.calibrate_tests import calibrate
+from study.simulation.calibration.calibration_file import CalibrationDesign
 from study.simulation.calibration.calibration_result import CalibrationResult, parameters
 from study.simulation.calibration.measured_tests import in_order, parts_of, read_tests
 from study.simulation.fit_task import OPEN, Progress, fitted_model
 from study.simulation.job import fitted_test
-from study.simulation.problem_file import CalibrationDesign
 from study.simulation.response import in_shown_units, scale_of
 
 # Constants of one test to first order around those of all tests: one Gauss-Newton step from the

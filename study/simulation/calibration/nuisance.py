@@ -27,11 +27,11 @@ from study.mechanics.calibration.residual_function import (
 )
 from study.mechanics.calibration.serial_correlation import row_noise
 from study.simulation import fit_task
+from study.simulation.calibration.calibration_file import FRICTION, OFFSET, ZERO, CalibratedTest
 from study.simulation.calibration.measured_tests import FitCurve, parts_of
 from study.simulation.cell import CellProblem
 from study.simulation.fit_task import TOLERANCES, FitPart
 from study.simulation.job import fitted_test
-from study.simulation.problem_file import FRICTION, OFFSET, ZERO, CalibratedTest
 
 
 def parameters_of(

@@ -20,6 +20,7 @@ from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.relaxation import is_of_relaxation
 from study.simulation import fit_task
+from study.simulation.calibration.calibration_file import CalibratedTest, CalibrationDesign
 from study.simulation.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
 from study.simulation.fit_task import (
     FitPart,
@@ -32,7 +33,6 @@ from study.simulation.fit_task import (
     with_moduli,
     within,
 )
-from study.simulation.problem_file import CalibratedTest, CalibrationDesign
 from study.simulation.response import in_shown_units
 
 if TYPE_CHECKING:
