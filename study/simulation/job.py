@@ -42,6 +42,8 @@ from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.forward.finite_element import Anchor
+from study.mechanics.forward.formal_order import FormalOrder as FormalOrder
+from study.mechanics.forward.formal_order import element_size_mm, formal_order
 from study.mechanics.material.homogeneous import MODES, sheared_stretches
 from study.mechanics.material.material import ENERGIES, Material, is_dimensionless
 from study.mechanics.material.stability import StabilityResult, ellipticity_end, stability
@@ -996,6 +998,33 @@ class CaseJob:
     def needs(self) -> tuple[str, ...]:
         """Keys of these fits."""
         return tuple(fit.key for fit in self.fits)
+
+    @property
+    def mesh_size_mm(self) -> float:
+        """Element size, named or given."""
+        return element_size_mm(self._in_mind)
+
+    @property
+    def size(self) -> float:
+        """Element size in mm, or the value of the parameter that refines a stranger's solver."""
+        refinement = self.case.problem.refinement
+        return self.mesh_size_mm if refinement is None else refinement.size(self.case.problem)
+
+    @property
+    def promised(self) -> FormalOrder:
+        """Order that its elements promise, or what is said of a stranger's solver."""
+        refinement = self.case.problem.refinement
+        if refinement is None:
+            return formal_order(self._in_mind)
+        if refinement.formal_order is None:
+            return FormalOrder(None, "give [converge] formal_order if the solver promises one")
+        given = f"as [converge] says of parameters.{refinement.name}"
+        return FormalOrder(refinement.formal_order, given)
+
+    @property
+    def _in_mind(self) -> Problem:
+        """Problem whose constants are not known yet."""
+        return self.case.tested.with_placeholder(self.depth_mm if self.directions else 1.0)
 
     def outcome(self, pair: ScorePair) -> FitResult | None:
         """Outcome of the fit of a direction; None where the constants are given."""

@@ -269,9 +269,21 @@ class Costs:
         document = problem.document()  # of all that differ in their material alone
         key = digest([{k: document[k] for k in ("specimen", "test", "model")}])
         if key not in self._known:
-            seconds, memory, spent = solve_task.estimated(problem, depth_mm, self._patience_s)
-            self._known[key], self._patience_s = (seconds, memory), self._patience_s - spent
+            self._known[key] = self._estimated(problem, depth_mm)
         return self._known[key]
+
+    def _estimated(self, cell: CellProblem, depth_mm: float | None) -> tuple[float, float]:
+        """Seconds and memory of a solution; counting its unknowns takes patience."""
+        from study.mechanics.solver.solution_cost import estimate
+
+        depth = depth_mm or 0.2 * (cell.height_mm or 1.0)
+        try:
+            problem = cell.with_placeholder(depth, C10_MPa=0.005)
+            estimated = estimate(problem.setup, patience_s=self._patience_s)
+        except (InputError, ValueError, RuntimeError):
+            return 1.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
+        self._patience_s -= estimated.counting_s
+        return float(estimated.seconds), float(estimated.memory_MB)
 
 
 def _evaluations(names: Sequence[str]) -> int:

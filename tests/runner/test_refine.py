@@ -7,7 +7,6 @@ import pytest
 from study.harness.design.load import load
 from study.harness.runner import study_refinement
 from study.harness.runner.batch import expand
-from study.simulation import refinement
 from study.simulation.tasks import Costs
 
 DESIGNS = Path(__file__).resolve().parents[2] / "designs"
@@ -22,7 +21,7 @@ def test_the_bonded_cells_of_the_first_block_are_refined(design, data, monkeypat
     assert {job.case.case_id for job in chosen} == {job.case.case_id for job in bonded}
     finer = study_refinement.refinement_work(work)
     sizes = [job.case.tested.model.mesh_size_mm for job in finer.jobs]
-    base = refinement.base_size_mm(chosen[0])
+    base = chosen[0].mesh_size_mm
     assert sizes == pytest.approx([base / 1.5, base / 1.5**2] * len(chosen))
     monkeypatch.setattr(study_refinement, "ALL_CELLS_S", 0.0)
     few = study_refinement.chosen(work)

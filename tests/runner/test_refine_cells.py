@@ -15,7 +15,6 @@ from study.harness.runner.batch import expand, manifest_of, run_batch
 from study.harness.runner.study_refinement import refine_within
 from study.record.record import Record
 from study.record.store import Store
-from study.simulation import refinement
 from study.simulation.cell import Cell, CellProblem
 from study.statistics.convergence.grid_convergence import compare
 
@@ -142,7 +141,7 @@ def test_validation_adds_numerics_inputs_and_data(one_mix, tmp_path):
     np.testing.assert_allclose(row["u_input_N"], force * 2 * 0.1 / 25, rtol=5e-3)
     # two equal repeats: no scatter, so the load cell's uncertainty alone
     np.testing.assert_allclose(row["u_data_N"], 0.02, rtol=1e-6)
-    h = refinement.base_size_mm(study_refinement.chosen(work)[0])
+    h = study_refinement.chosen(work)[0].mesh_size_mm
     share = np.array(row["u_num_N"]) / force
     assert (share > ERROR * h / (1 + ERROR * h)).all()
     squares = sum(np.square(row[k]) for k in ("u_num_N", "u_input_N", "u_data_N"))
@@ -163,7 +162,7 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(one_mix, tmp
         run_batch(part, store, fake())
     rows = study_refinement.compared(work, moved, store)
     assert len(rows) == len(work.jobs) == 12
-    sizes = {j.case.case_id: refinement.base_size_mm(j) for j in work.jobs}
+    sizes = {j.case.case_id: j.mesh_size_mm for j in work.jobs}
     for row in rows:
         share = np.array(row["u_num_N"]) / np.array(row["simulated_N"])
         if row["levels"]["plates"] == "frictionless":

@@ -10,7 +10,6 @@ from study.harness.design.load import loads
 from study.harness.runner.batch import expand, manifest_of
 from study.harness.runner.study_refinement import own_series, refine
 from study.record.store import Store
-from study.simulation.refinement import base_size_mm
 from study.simulation.tasks import processes
 from study.simulation.virtual_specimens import usual_generator, write_virtual
 from study.statistics.convergence.contrast_bound import response_bounds
@@ -48,7 +47,7 @@ def test_columns_go_from_coarse_to_fine_under_one_block(work):
     for jobs in (one.jobs for one in series):
         assert {job.case.block for job in jobs} == {work.blocks[0]}
         assert len({job.case.levels["material"] for job in jobs}) == 1
-        sizes = [base_size_mm(job) for job in jobs]
+        sizes = [job.mesh_size_mm for job in jobs]
         assert sizes == sorted(sizes, reverse=True)
 
 

@@ -70,7 +70,6 @@ from study.simulation.job import (
     surface_notes,
 )
 from study.simulation.provenance import code_version, versions
-from study.simulation.refinement import base_size_mm
 from study.simulation.response import units_of
 from study.simulation.solve_task import LASTING
 from study.simulation.tasks import Costs, adapted, limit_of
@@ -430,9 +429,9 @@ def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob,
             cell = cell.changed(partial(CellProblem.loaded, steps=new))
             what = f"{new} load steps instead of {old}"
         elif change == FINER_MESH:
-            size = base_size_mm(job) / work.design.converge.ratio
+            size = job.mesh_size_mm / work.design.converge.ratio
             cell = cell.on_mesh(mesh_size_mm=size)
-            what = f"elements of {size:.4g} mm instead of {base_size_mm(job):.4g} mm"
+            what = f"elements of {size:.4g} mm instead of {job.mesh_size_mm:.4g} mm"
         elif change == LONGER_LIMIT:
             what = f"a limit {LIMIT_FACTOR:g} times as long"
         else:

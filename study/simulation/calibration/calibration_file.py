@@ -36,15 +36,8 @@ from study.ground.declaration import (
     written_keys,
 )
 from study.ground.errors import nearest
-from study.mechanics.measurement.measurement_section import (
-    MeasurementSpec,
-)
-from study.mechanics.setup.calibration_table import (
-    ANALYTIC_KEYS,
-    Bounds,
-    Fitting,
-    bounds_of,
-)
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.setup.calibration_table import ANALYTIC_KEYS, Bounds, Fitting, bounds_of
 from study.mechanics.setup.material_section import MaterialSection
 from study.simulation.cell import CellProblem
 from study.simulation.problem_file import StudyTable, default_name, dimension_of, resolve_problem
