@@ -479,8 +479,12 @@ class Batch:
         part = _part_of(path)
         with self._discarding([path]):  # the others are whole, and stay
             self._parts[path] = part
-            for folder in _make_folder(path.parent, self._system):
-                self._folders[folder] = None
+            if not path.parent.is_dir():
+                new = [place for place in path.parents if not place.exists()]
+                if new:
+                    self._system.make_folder(path.parent)
+                # to be flushed for their names to survive a power loss too
+                self._folders |= dict.fromkeys(place.parent for place in reversed(new))
             self._system.write(part, data)
         if then is not None:
             self._then.append(then)
@@ -558,16 +562,6 @@ def write_error(path: str | Path, error: OSError) -> WriteError:
     if error.errno in FULL:
         return DiskFullError(f"{text}unharmed. Free space, then run again")
     return WriteError(f"{text}unharmed. Choose another folder, or mend this one, then run again")
-
-
-def _make_folder(folder: Path, system: FileSystem) -> list[Path]:
-    """Make a folder; those to be flushed for its name to survive a power loss too."""
-    if folder.is_dir():
-        return []
-    new = [path for path in (folder, *folder.parents) if not path.exists()]
-    if new:
-        system.make_folder(folder)
-    return [path.parent for path in reversed(new)]
 
 
 def is_leftover(name: str) -> bool:

@@ -429,11 +429,11 @@ class StagedSearch:
     """What all stages of a fit share."""
 
     names: tuple[str, ...]
-    #: Makes the model of a part.
-    make: MakeModel
     bounds: Sequence[tuple[float, float]] | None = None
     progress: Progress | None = None
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
+    #: Makes the model of a part.
+    make: MakeModel = field(default_factory=lambda: fitted_model)
 
 
 # Energies with exponents have minima on both sides of zero: a fit begins on each, unasked.
@@ -684,7 +684,7 @@ def fitted(job: FitJob) -> FitResult:
     names, first = start_values(
         parts[0].problem, job.measured, None if start is None else start.constants
     )
-    search = StagedSearch(names, fitted_model)
+    search = StagedSearch(names)
 
     def fit_from(values: Array) -> Staged:
         return staged_fit(parts, values, search)
@@ -1084,7 +1084,7 @@ def refitted(job: FitJob) -> FitResult:
     drawn = (_drawn(*each, *job.noise) for each in zip(measured, residuals, strict=True))
     again = parts_of(replace(job, measured=tuple(drawn)))
     queue = iter(models)
-    done = single_stage("resampled", again, start, StagedSearch(names, lambda *_: next(queue)))
+    done = single_stage("resampled", again, start, StagedSearch(names, make=lambda *_: next(queue)))
     document = _described(done.fit, again[0].problem.material, residuals)
     document.update({"method": job.problem.method, "seconds": time.perf_counter() - began})
     return FitResult(status_of(done.fit), document)

@@ -22,7 +22,7 @@ from study.ground.errors import Fault, InputError, UnitError
 from study.ground.units import parse
 from study.simulation import case, fit_task, solve_task
 from study.simulation.cell import CellProblem
-from study.simulation.job import USUAL_EVALUATIONS, CaseJob, FitJob, FitPart, FitProblem
+from study.simulation.job import USUAL_EVALUATIONS, CaseJob, FitJob, FitPart
 from study.simulation.provenance import versions
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
@@ -188,11 +188,6 @@ class Costs:
         self._known: dict[str, tuple[float, float]] = {}
         self._anchored: set[str] = set()
 
-    def fit_seconds(self, problem: FitProblem) -> float:
-        """Seconds of one calibration."""
-        names = problem.material.calibrated_names
-        return _OVERHEAD_S + sum(self._test_seconds(test, names) for test in problem.tests)
-
     def _test_seconds(self, test: FitPart, names: Sequence[str]) -> float:
         """Seconds that one test of a fit takes: nothing where it has a closed form."""
         external = External.of(test.problem)
@@ -230,14 +225,16 @@ class Costs:
 
     def seconds(self, job: FitJob | CaseJob) -> float:
         """Seconds of a fit, or of a case without its fits."""
-        if isinstance(job, FitJob):
-            return self.fit_seconds(job.problem)
-        return self.case_seconds(job)
+        if isinstance(job, CaseJob):
+            return self.case_seconds(job)
+        names = job.problem.material.calibrated_names
+        return _OVERHEAD_S + sum(self._test_seconds(test, names) for test in job.problem.tests)
 
     def MB(self, job: FitJob | CaseJob) -> float:  # noqa: N802
         """Peak memory of a fit or a case; none worth counting without a simulation of its own."""
         if isinstance(job, FitJob):
-            return self.fit_memory_MB(job.problem)
+            simulated = (t.problem for t in job.problem.tests if t.method == "inverse-fem")
+            return max(map(self.memory_MB, simulated), default=0.0)
         problem = job.case.problem
         if job.forward == "external":
             return (None if problem.forward is None else problem.forward.memory_MB) or 0.0
@@ -246,8 +243,7 @@ class Costs:
 
     def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
         """Wall time on a number of workers."""
-        work = sum(self.fit_seconds(fit.problem) for fit in fits)
-        return (work + sum(self.case_seconds(job) for job in cases)) / jobs
+        return sum(map(self.seconds, (*fits, *cases))) / jobs
 
     def solve_seconds(self, problem: CellProblem, depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""
@@ -259,11 +255,6 @@ class Costs:
         if stated or not isinstance(problem, CellProblem):
             return stated or 0.0
         return self._estimate(problem, None)[1]
-
-    def fit_memory_MB(self, problem: FitProblem) -> float:  # noqa: N802
-        """Peak memory of one calibration."""
-        simulated = [test.problem for test in problem.tests if test.method == "inverse-fem"]
-        return max(map(self.memory_MB, simulated), default=0.0)
 
     def _estimate(self, problem: CellProblem, depth_mm: float | None) -> tuple[float, float]:
         document = problem.document()  # of all that differ in their material alone

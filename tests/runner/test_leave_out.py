@@ -112,11 +112,12 @@ def test_a_fit_to_several_tests_costs_what_its_tests_do():
     slipping = problems[0].loaded(interface="frictionless", base="frictionless")
     both = together(cells[0], [*problems, slipping])
     assert [one.method for one in both.tests] == ["inverse-fem", "inverse-fem", "closed-form"]
-    alone, costs = [fit_problem(cell) for cell in cells], Costs()
-    apart = [costs.fit_seconds(one) for one in alone]
-    assert costs.fit_seconds(both) == pytest.approx(sum(apart), rel=0.1)
-    assert costs.fit_seconds(both) > 1.5 * max(apart)
-    assert costs.fit_memory_MB(both) == max(costs.fit_memory_MB(one) for one in alone) > 0
+    whole, *alone = (FitJob(one, ()) for one in (both, *map(fit_problem, cells)))
+    costs = Costs()
+    apart = [costs.seconds(one) for one in alone]
+    assert costs.seconds(whole) == pytest.approx(sum(apart), rel=0.1)
+    assert costs.seconds(whole) > 1.5 * max(apart)
+    assert costs.MB(whole) == max(costs.MB(one) for one in alone) > 0
 
 
 @pytest.mark.parametrize(("leave_out", "block"), [(SPECIMEN, ""), (SPECIMEN, BLOCK), (TEST, "")])

@@ -64,7 +64,7 @@ def _done(work, job):
     (way,) = job.problem.tests
     names, first = fit_task.start_values(way.problem, job.measured, start)
     data = tuple(MeasuredCurve("virtual", curve) for curve in job.measured)
-    search = StagedSearch(names, fit_task.fitted_model)
+    search = StagedSearch(names)
     found = staged_fit([Part(way.method, way.problem, data)], first, search).fit
     assert found.converged, found.message
     return found

@@ -68,7 +68,7 @@ def fitted(problem, start, limit=-0.3, **options):
             raise EvaluationFailed("no forces of a solid of one constant")
         return Softening(limit)
 
-    return staged_fit(parts, start, StagedSearch(NAMES, make, **options))
+    return staged_fit(parts, start, StagedSearch(NAMES, make=make, **options))
 
 
 @pytest.mark.parametrize(
