@@ -480,11 +480,11 @@ class Batch:
         with self._discarding([path]):  # the others are whole, and stay
             self._parts[path] = part
             if not path.parent.is_dir():
-                new = [place for place in path.parents if not place.exists()]
+                new = [folder for folder in path.parents if not folder.exists()]
                 if new:
                     self._system.make_folder(path.parent)
                 # to be flushed for their names to survive a power loss too
-                self._folders |= dict.fromkeys(place.parent for place in reversed(new))
+                self._folders |= dict.fromkeys(folder.parent for folder in reversed(new))
             self._system.write(part, data)
         if then is not None:
             self._then.append(then)

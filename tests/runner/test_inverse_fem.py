@@ -13,7 +13,7 @@ from study.simulation.calibration.calibration_bound import estimated_bound
 from study.simulation.cell import CellProblem
 from study.simulation.fit_task import TOLERANCES, StagedSearch, staged_fit
 from study.simulation.fit_task import FitPart as Part
-from tests.forward.test_halfspace import INDENTERS
+from tests.forward.test_closed_form import INDENTERS
 
 from .conftest import compressed
 
