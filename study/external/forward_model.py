@@ -639,10 +639,7 @@ def _like(read: tuple[Value, str], usual: tuple[Value, str], raw: object) -> tup
         mend = "write true or false" if isinstance(first, bool) else "make all its levels one kind"
         raise Bad(f"{rule}, got {shown(raw)}", mend)
     if isinstance(value, float):
-        try:
-            return units.converted(value, unit, into), into
-        except UnitError as error:
-            raise Bad(error.faults[0].rule, error.faults[0].mend) from error
+        return units.converted(value, unit, into), into
     return value, unit
 
 

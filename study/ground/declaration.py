@@ -64,7 +64,7 @@ def section(declared: type[Kind]) -> type[Kind]:
 class Reads:
     """How the raw value of a key is read."""
 
-    #: Raw TOML value to a value in internal units; raises :class:`Bad` with rule and mend.
+    #: Raw TOML value to a value in internal units; raises :class:`Bad` or :class:`UnitError`.
     read: Read
     #: What the value measures: ``"length"``, ``"pressure"``, ...; empty for a plain one.
     dimension: str = ""
@@ -73,13 +73,6 @@ class Reads:
     #: Converts a value given in Python, in internal units, to the stored value; raises
     #: :class:`Bad`. None stores the value as it is.
     given: Read | None = None
-
-    def __call__(self, value: object) -> object:
-        """Value in internal units."""
-        try:
-            return self.read(value)
-        except UnitError as error:
-            raise Bad(error.faults[0].rule, error.faults[0].mend) from error
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> object:
         """Have pydantic take a value that is given in Python so."""
@@ -550,7 +543,7 @@ def read_table(
 def _read_key(key: Key, value: object, where: str, faults: Faults) -> object:
     """Read the value of a key, a table within a table, or a list of tables."""
     if key.kind is None:
-        return value if key.reads is None else noted(key.reads, value, where, faults)
+        return value if key.reads is None else noted(key.reads.read, value, where, faults)
     rows, kind = key.rows, key.kind
     if rows is None:
         return read_table(kind, value, where, faults)

@@ -18,8 +18,8 @@ from study.execution.local import Document, Executor, Loky, Perform, Task, free_
 from study.external.command import External
 from study.external.forward_model import FUNCTION_SECONDS, ForwardCell
 from study.ground.canonical import digest
-from study.ground.errors import Fault, InputError, UnitError
-from study.ground.units import parse
+from study.ground.errors import Fault, InputError
+from study.ground.units import naming, parse
 from study.simulation import case, fit_task, solve_task
 from study.simulation.cell import CellProblem
 from study.simulation.job import USUAL_EVALUATIONS, CaseJob, FitJob, FitPart
@@ -62,10 +62,8 @@ def memory_of(text: str) -> float:
     >>> memory_of("20 GB")
     20000.0
     """
-    try:
+    with naming("memory"):
         amount_MB = parse(text, "memory")
-    except UnitError as error:
-        raise InputError([replace(fault, where="memory") for fault in error.faults]) from error
     if amount_MB <= 0:
         raise InputError(Fault("memory", f"must be more than zero, got {text!r}"))
     return amount_MB
@@ -243,7 +241,7 @@ class Costs:
 
     def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
         """Wall time on a number of workers."""
-        return sum(map(self.seconds, (*fits, *cases))) / jobs
+        return (sum(map(self.seconds, fits)) + sum(map(self.seconds, cases))) / jobs
 
     def solve_seconds(self, problem: CellProblem, depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""
