@@ -40,7 +40,6 @@ from study.ground.files import UnreadableError, read_existing, sha256_of
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
-from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.forward.finite_element import Anchor
 from study.mechanics.forward.formal_order import FormalOrder as FormalOrder
 from study.mechanics.forward.formal_order import element_size_mm, formal_order
@@ -53,7 +52,6 @@ from study.mechanics.measurement.measured_test import MeasuredTest, Measurements
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.measurement.recording import (
-    Gauge,
     Recordings,
     check_relative,
     locate,
@@ -792,20 +790,6 @@ class Origin:
 TRUTH_SUFFIX = ".virtual.json"
 
 
-def gauge_of(setup: Setup) -> Gauge | None:
-    """Return what turns recorded strain and stress into displacement and force."""
-    if setup.height_mm is None:
-        return None
-    height, area = height_and_area(setup.specimen)
-    power, indenter = 1.0, setup.test.indenter
-    if indenter is not None:
-        # the slope of the force is in proportion to the radius of contact (Sneddon 1965)
-        shallow = 0.1 * (setup.test.displacement_mm or height)
-        radii = [indenter.contact_radius_mm(depth) for depth in (shallow, 2 * shallow)]
-        power += math.log2(radii[1] / radii[0])
-    return Gauge(area, height, setup.kind.mode, setup.kind.sense, setup.is_homogeneous, power)
-
-
 class DataCache:
     """Measured tests of a study."""
 
@@ -842,13 +826,12 @@ class DataCache:
         if spec is None or not isinstance(problem, CellProblem):
             return None
         if id(problem) not in self._asked:  # one problem for all blocks of a cell
-            setup = problem.setup
-            height, depth, gauge = setup.height_mm, setup.test.displacement_mm, gauge_of(setup)
+            height, depth, gauge = problem.height_mm, problem.depth_mm, problem.gauge
             key = digest([spec.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
             if key not in self._read:
                 rows = self._recordings(spec)
                 measurements = read_measurements(spec, self.root, height, depth, gauge, rows)
-                self._read[key] = checked(measurements, setup)
+                self._read[key] = checked(measurements, problem.setup)
             self._asked[id(problem)] = problem, self._read[key]
         return self._asked[id(problem)][1]
 
