@@ -43,9 +43,9 @@ from study.statistics.surfaces.emulator import (
     fit_own,
     next_run,
 )
+from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_fitting import difference_of, models_at
 from study.statistics.surfaces.surface_optimum import Model
-from study.statistics.surfaces.surface_result import analysis_of
 
 
 def continued(design: Design, store: Store) -> Design:
@@ -176,9 +176,10 @@ def _is_known(model: Model, practical: float | None, rule: Sequential) -> bool:
     """Whether a response is known as well as the design asks for."""
     if rule.until == "q2" or practical is None:
         return bool(model.q2 >= rule.q2)
-    sensitivity = analysis_of(model, practical).sensitivity
-    verdicts = [None if item.range is None else item.range.verdict for item in sensitivity]
-    return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
+    if not isinstance(model, QuadraticSurface) and model.gate != "given":
+        return False
+    ranges = model.ranges(practical) or ()
+    return bool(ranges) and all(reach.verdict != "cannot tell" for reach in ranges)
 
 
 def _chosen(

@@ -237,13 +237,8 @@ def relabeled(
 
 def units_asked(design: Design) -> dict[str, str]:
     """List every response that the records of a design hold, with its unit."""
-    if design.is_alone:
-        return {response.name: response.unit for response in design.responses}
-    forwards = {cell.cell.problem.forward for cell in design.treatments}
-    values = {k: u for forward in forwards if forward is not None for k, u in forward.units.items()}
-    names = [response.name for response in design.responses if response.name not in values]
-    of_program = {r.name: r.unit for r in design.responses if r.name in values}
-    return units_of(names, design.is_measured) | of_program
+    asked = {response.name: response.unit for response in design.responses}
+    return asked if design.is_alone else units_of((), design.is_measured) | asked
 
 
 def _common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
