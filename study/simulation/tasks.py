@@ -55,13 +55,7 @@ def processes(
 
 
 def memory_of(text: str) -> float:
-    """Read an amount of memory in MB.
-
-    Examples
-    --------
-    >>> memory_of("20 GB")
-    20000.0
-    """
+    """Read an amount of memory such as ``"20 GB"``, in MB."""
     with naming("memory"):
         amount_MB = parse(text, "memory")
     if amount_MB <= 0:

@@ -237,8 +237,8 @@ def relabeled(
 
 def units_asked(design: Design) -> dict[str, str]:
     """List every response that the records of a design hold, with its unit."""
-    asked = {response.name: response.unit for response in design.responses}
-    return asked if design.is_alone else units_of((), design.is_measured) | asked
+    units = {response.name: response.unit for response in design.responses}
+    return units if design.is_alone else units_of((), design.is_measured) | units
 
 
 def _common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
