@@ -20,7 +20,7 @@ from study.mechanics.calibration.residual_function import EvaluationFailed, Meas
 from study.mechanics.forward import finite_element
 from study.simulation import fit_task
 from study.simulation.cell import CellProblem
-from study.simulation.staged_fit import TOLERANCES
+from study.simulation.fit_task import TOLERANCES
 
 Array = NDArray[np.float64]
 ENERGIES: tuple[tuple[str, int | None, dict[str, float]], ...] = (

@@ -27,8 +27,7 @@ from study.api.planning import plan, status
 from study.api.study import report, run
 from study.execution.local import Loky
 from study.harness.design.load import load_design
-from study.harness.runner.batch import manifest_of, run_batch
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand, manifest_of, run_batch
 from study.mechanics.forward.closed_form import homogeneous
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder

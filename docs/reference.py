@@ -28,7 +28,7 @@ from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS
 from study.mechanics.setup.setup import Model
 from study.mechanics.setup.test_kind import Test
-from study.simulation.overlay import MaterialTable
+from study.simulation.problem_file import MaterialTable
 
 HERE = Path(__file__).parent
 #: Header of a table in a file, and the class that declares its keys.
@@ -110,12 +110,11 @@ RULE = re.compile(r"^(must be|may have|is) ")
 EXAMPLE = re.compile(r"(?:^|write, |, )for example,? (.+)")
 
 
-def _broken(reads: declaration.Reads) -> Iterator[declaration.Bad]:
+def _broken(reads: declaration.Reads) -> declaration.Faults:
+    faults = declaration.Faults()
     for wrong in WRONG:
-        try:
-            reads(wrong)
-        except declaration.Bad as broken:
-            yield broken
+        declaration.noted(reads.read, wrong, "", faults)
+    return faults
 
 
 def _value(key: declaration.Key) -> str:
@@ -124,7 +123,7 @@ def _value(key: declaration.Key) -> str:
         return f"table with {', '.join(f'`{name}`' for name in declaration.written_keys(key.kind))}"
     if key.reads is None:  # the word that says which section this is
         return f"`{json.dumps(key.default)}`"
-    broken = list(_broken(key.reads))
+    broken = _broken(key.reads)
     given = key.mend or next((b.mend for b in broken if EXAMPLE.search(b.mend)), "")
     match = EXAMPLE.search(given)
     example = given.rpartition(": ")[2] if "=" in given else ""
@@ -135,7 +134,7 @@ def _value(key: declaration.Key) -> str:
     return ", ".join(part for part in (what, example and f"for example `{example}`") if part)
 
 
-def _rule(broken: Iterable[declaration.Bad]) -> str:
+def _rule(broken: declaration.Faults) -> str:
     """Values that a rule allows: its words, the range of a number, or what it must be."""
     rules = {RULE.sub("", re.sub(r",? got .*", "", b.rule)): b.mend for b in broken}
     for mend in rules.values():

@@ -41,7 +41,7 @@ def test_every_room_is_closed_to_execution():
     open_to_it = {
         "execution",
         "ground.errors",
-        "ground.bounded_file",
+        "ground.files",
         "ground.working_folder",
     }
     assert set(_closed_to_execution()) == rooms - {f"study.{name}" for name in open_to_it}

@@ -1,4 +1,4 @@
-"""Whatever is read from a file goes through ``bounded_file``; who does not says why."""
+"""Whatever is read from a file goes through ``study.ground.files``; who does not says why."""
 
 import ast
 from functools import cache
@@ -10,7 +10,7 @@ from tests.house import trees
 
 ROOT = Path(__file__).parents[1]
 
-READER = "study/ground/bounded_file.py"
+READER = "study/ground/files.py"
 #: methods and functions that open a file, or parse what somebody else may have written
 OPENS = {
     "open", "open_code", "fdopen", "FileIO", "read_text", "read_bytes", "mmap", "memmap",
@@ -27,7 +27,7 @@ OPENS_OF = {
 }  # fmt: skip
 #: functions of ours with one of these names, and modules whose functions they are
 OURS = {"read_csv", "read_table", "read_json", "read_text", "read_bytes"}
-READERS = {"diagnostics", "text_file", "bounded_file", "tabular", "tidy_csv", "self"}
+READERS = {"declaration", "files", "tabular", "tidy_csv", "self"}
 WRITING = {"w", "wb", "x", "xb", "a", "ab"}
 
 EXCEPTIONS = {
@@ -37,7 +37,6 @@ EXCEPTIONS = {
     "study/reporting/output/page.py: read_text": "a file of the package",
     "study/ground/compilation.py: read_bytes": "sources of the package",
     "study/simulation/provenance.py: read_text": "sources of the package, and their hash",
-    "study/ground/atomic_files.py: open": "for fsync, and of the lock, of which 4 kB are read",
     "study/simulation/solve_task.py: open": "memory of this process, from /proc",
     "study/execution/local.py: read_text": "memory of the machine, from /proc",
     "study/external/launcher.py: open": "4 kB of /proc, in a program without this package",

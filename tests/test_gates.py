@@ -119,7 +119,7 @@ BREACHES = [
     ("simulation/cell", "study.simulation.job", "Inside simulation"),
     ("laboratory/registration/a", "study.laboratory.haptics.haptic_export", "Inside laboratory"),
     ("reporting/content/a", "study.reporting.output.page", "Inside reporting"),
-    ("harness/design/layouts", "study.harness.design.load", CIRCLE),
+    ("harness/design/generators", "study.harness.design.layouts", CIRCLE),
     (
         "harness/runner/a",
         "study.mechanics.setup.setup",

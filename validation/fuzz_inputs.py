@@ -26,7 +26,7 @@ import numpy as np
 from numpy.random import Generator
 
 from study.cli.app import run
-from study.ground.diagnostics import dump_toml
+from study.ground.declaration import dump_toml
 from validation.damage import WRONG, instead, places, sealed, without
 
 Made = tuple[list[list[str]], bool]

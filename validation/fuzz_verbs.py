@@ -22,7 +22,7 @@ import numpy as np
 from numpy.random import Generator
 
 from study.cli.app import VERBS, run
-from study.ground.diagnostics import dump_toml
+from study.ground.declaration import dump_toml
 from study.harness.design import load
 from study.harness.design.load import loads
 from study.harness.design.spec import Design

@@ -10,7 +10,7 @@ from typing import Any
 
 from study.ground.declaration import table_of
 from study.ground.errors import InputError
-from study.record.document import CurveKey
+from study.record.record import CurveKey
 from study.simulation.response import simulated_at
 
 Config = Mapping[str, Any]
@@ -77,8 +77,8 @@ def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job
 def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any, Config]:
     """Resolve every case, by its levels, its block and the number of its mesh."""
     from study.harness.design.spec import cases
-    from study.harness.runner.expansion import seeded
-    from study.simulation.fit_problem import located_cell
+    from study.harness.runner.batch import seeded
+    from study.simulation.job import located_cell
 
     places = () if data is None else (data.resolve(),)
     configs: dict[Any, Config] = {}

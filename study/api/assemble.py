@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from study.ground.arrays import gathered
 from study.ground.canonical import plain
 from study.ground.curve import Curve
-from study.ground.diagnostics import dump_toml, flatten, parse_toml
+from study.ground.declaration import dump_toml, flatten, parse_toml
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.design.spec import Design, ResponseSpec

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.atomic_files import own_folder, write_atomic, write_new
-from study.ground.diagnostics import Faults
+from study.ground.declaration import Faults
 from study.ground.errors import Fault, InputError
+from study.ground.files import own_folder, write_atomic, write_new
 from study.ground.tabular import csv_text
 from study.harness.design.load import (
     calibration_root,
@@ -43,7 +43,7 @@ from study.simulation.calibration.model_comparison import (
     choose,
     compare,
 )
-from study.simulation.fit_problem import folders, located
+from study.simulation.job import folders, located
 from study.simulation.virtual_specimens import usual_generator, write_tests, write_virtual
 
 if TYPE_CHECKING:
@@ -52,8 +52,8 @@ if TYPE_CHECKING:
     from study.reporting.content.blocks import Block as ResultBlock
     from study.reporting.figures.axes import Drawing
     from study.reporting.figures.curve_figures import FitPanel
-    from study.simulation.problem_file import CalibrationDesign
-    from study.simulation.staged_fit import FitStep
+    from study.simulation.calibration.calibration_file import CalibrationDesign
+    from study.simulation.fit_task import FitStep
 
 
 # Curves of a calibration as the panels of its figure.

@@ -12,15 +12,13 @@ from study.api.opened_study import load as load_study
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.load import RESULTS, design_root, load, loads, results_folder
-from study.harness.runner.batch import manifest_of, read_truths
-from study.harness.runner.expansion import expand
-from study.record.document import ManifestDocument
-from study.record.record import Record
+from study.harness.runner.batch import expand, manifest_of, read_truths
+from study.record.record import ManifestDocument, Record
 from study.record.store import Store, differences
 from study.reporting.content.comparison_content import summary
 from study.reporting.results import study_answers
 from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
-from study.simulation.fit_problem import externals
+from study.simulation.job import externals
 from study.simulation.provenance import versions
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Self, cast
 from study.api.opened_study import load as load_study
 from study.execution.local import Executor
 from study.external.forward_model import ForwardCell
-from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
+from study.ground.files import own_folder
 from study.harness.design.load import RESULTS, design_root, file_kind, load, loaded_problem
 from study.harness.runner import study_refinement
 from study.harness.runner.batch import Progress as RunProgress
-from study.harness.runner.batch import computed
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import computed, expand
 from study.harness.runner.study_refinement import refine_cases, refine_within, stored_convergence
 from study.mechanics.forward.formal_order import FormalOrder
 from study.mechanics.setup.setup import Tables
@@ -28,7 +27,7 @@ from study.reporting.output.convergence_page import series_blocks, write_converg
 from study.reporting.output.page import Shown
 from study.simulation import refinement
 from study.simulation.cell import folder_name, tested
-from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.job import data_root, folders, located
 from study.simulation.problem_file import LoadedProblem
 from study.simulation.solve_task import Solver, by_workers, in_process, kept, store_of
 from study.simulation.tasks import default_jobs, processes

@@ -12,9 +12,8 @@ import numpy as np
 from study.api.comparison import explain
 from study.api.predicting import opened, surfaces_of
 from study.api.solving import solve
-from study.ground.atomic_files import write_atomic
-from study.ground.bounded_file import UnreadableError, read_json
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.files import UnreadableError, read_json, write_atomic
 from study.harness.design import load
 from study.harness.design.load import (
     REPORTS,
@@ -24,7 +23,7 @@ from study.harness.design.load import (
     results_folder,
 )
 from study.harness.design.spec import Design
-from study.harness.runner.expansion import cases_by_id
+from study.harness.runner.batch import cases_by_id
 from study.laboratory.haptics import haptic_export
 from study.laboratory.sensors.force_model import load_requirement
 from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement
@@ -40,7 +39,7 @@ from study.record.store import Store
 from study.reporting.content.text import THIN, duration, slug
 from study.reporting.output import laboratory_pages as pages
 from study.simulation.cell import CellProblem, tested
-from study.simulation.fit_problem import data_root, folders, located
+from study.simulation.job import data_root, folders, located
 from study.simulation.problem_file import default_name
 from study.simulation.tasks import Costs, default_jobs
 from study.statistics.analysis.analysis_result import AnalysisResult

@@ -13,12 +13,18 @@ from study.harness.design.load import RESULTS, dump, finished_manifest, loads, r
 from study.harness.design.spec import Analysis, Design
 from study.harness.runner import record_analysis
 from study.harness.runner.adaptive_cells import CONFIRMED, joined
-from study.harness.runner.expansion import Work, cases_by_id, relabeled
+from study.harness.runner.batch import Work, cases_by_id, relabeled
 from study.harness.runner.imported_runs import write_runs
 from study.harness.runner.record_analysis import unit_of
 from study.mechanics.measurement.conditioning import is_caution
-from study.record import document
-from study.record.record import Record
+from study.record.record import (
+    AdaptiveStep,
+    ManifestDocument,
+    Record,
+    SpaceRow,
+    ValidationRow,
+    fault_of_comparisons,
+)
 from study.record.store import Store
 from study.reporting.results.study_result import (
     FITTED_CURVE,
@@ -114,14 +120,12 @@ def opened(
         if surface.surface
         for n in surface.surface.notes
     ]
-    comparisons = store.read_rows(
-        "validation", document.ValidationRow, document.fault_of_comparisons
-    )
+    comparisons = store.read_rows("validation", ValidationRow, fault_of_comparisons)
     return Study(
         design, folder, records, len(manifest["cases"]), manifest,
         analyses=analyses, numerical=numerical, validation=tuple(comparisons), surfaces=fitted,
-        spaces=tuple(store.read_rows("spaces", document.SpaceRow)),
-        adaptive=tuple(store.read_rows("adaptive", document.AdaptiveStep)),
+        spaces=tuple(store.read_rows("spaces", SpaceRow)),
+        adaptive=tuple(store.read_rows("adaptive", AdaptiveStep)),
         warnings=tuple(dict.fromkeys(warnings)),  # with those of what was read just now
     )  # fmt: skip
 
@@ -161,7 +165,7 @@ def count_cases(study: Path | Study) -> int:
     return 0 if manifest is None else len(manifest["cases"])
 
 
-def unfinished_note(store: Store, later: document.ManifestDocument) -> str:
+def unfinished_note(store: Store, later: ManifestDocument) -> str:
     """Say that what is shown is the last finished run, and how far the later one is."""
     counted = Store(store.path).survey(later["cases"])
     done, total = len(counted.entries), len(later["cases"])

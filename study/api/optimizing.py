@@ -25,7 +25,7 @@ from study.ground import tabular, units
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
 from study.harness.design.load import RESULTS
-from study.harness.design.questions import usual_value
+from study.harness.design.spec import usual_value
 from study.harness.runner.adaptive_cells import joined
 from study.harness.runner.record_analysis import at_levels, coded_settings
 from study.mechanics.calibration.serial_correlation import (
@@ -48,7 +48,6 @@ from study.reporting.results.study_answers import (
     OtherChoice,
     Recommendation,
 )
-from study.simulation import overlay
 from study.statistics.surfaces.surface_factors import Runs, never_run
 from study.statistics.surfaces.surface_optimum import (
     Goal,
@@ -291,8 +290,7 @@ def _of_study(
     ranges, lists = design.ranges, design.lists
     open_numbers = tuple(n for n in ranges if n not in free and n not in at)
     held = {n: float(values[0]) for n, values in numbers.items()}
-    held |= {n: usual_value(n, overlay.dimension(n) or "number", ranges[n], design.config)
-             for n in open_numbers}  # fmt: skip
+    held |= {n: usual_value(n, ranges[n], design.config) for n in open_numbers}
     span_units = {n: span.unit for n, span in ranges.items()}
     question = Recommendation(goal, name, units_of[name], {}, held, span_units, bounds=bounds)
     open_labels = {n: (labels[n],) if n in labels else every

@@ -29,8 +29,7 @@ from study.harness.design.load import (
 from study.harness.design.overview import Overview, overview
 from study.harness.design.spec import Design, ResponseSpec
 from study.harness.runner.adaptive_cells import continued
-from study.harness.runner.batch import missing, open_fits
-from study.harness.runner.expansion import Work, expand
+from study.harness.runner.batch import Work, expand, missing, open_fits
 from study.harness.runner.study_refinement import (
     in_blocks,
     input_work,
@@ -40,7 +39,7 @@ from study.harness.runner.study_refinement import (
 )
 from study.record.record import write_csv
 from study.record.store import Store
-from study.simulation.fit_problem import externals
+from study.simulation.job import externals
 from study.simulation.tasks import Costs, default_jobs, program_calls
 from study.statistics.analysis.analysis_request import on_scale, threshold
 from study.statistics.analysis.analysis_result import AnalysisResult

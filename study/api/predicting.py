@@ -18,9 +18,9 @@ from study.harness.design.load import RESULTS, design_root, results_folder
 from study.harness.design.spec import Design
 from study.harness.runner.adaptive_cells import confirm
 from study.harness.runner.batch import Progress
-from study.record.document import are_imported
-from study.simulation import overlay
-from study.simulation.fit_problem import NOTHING, Allowed
+from study.record.record import are_imported
+from study.simulation.job import NOTHING, Allowed
+from study.simulation.problem_file import ANY, dimension_of
 from study.statistics.surfaces import surface_fitting
 from study.statistics.surfaces.emulator import LARGEST, expected_seconds
 from study.statistics.surfaces.surface_factors import some_runs
@@ -146,11 +146,11 @@ def unknown_factors(at: Iterable[str], factors: Sequence[str]) -> list[Fault]:
 
 def number_in_unit(name: str, unit: str, setting: Setting) -> Array:
     """Read settings (m,) in the unit of a factor's range."""
-    kind = overlay.dimension(name)
+    kind = dimension_of(name)
     if not isinstance(setting, str):
         return np.atleast_1d(np.asarray(setting, dtype=np.float64))
     with units.naming(name):
-        if kind == overlay.ANY and unit:
+        if kind == ANY and unit:
             return np.array([units.converted(*units.split(setting), unit)])
         if kind is None or not unit:
             return np.array([units.parse_number(setting)])

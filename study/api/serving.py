@@ -17,13 +17,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import quote, unquote, urlsplit
 
-from study.ground import atomic_files
-from study.ground.bounded_file import read_existing, read_regular
-from study.ground.diagnostics import parse_toml
+from study.ground.declaration import parse_toml
 from study.ground.errors import Fault, InputError, StoreError
+from study.ground.files import holder, read_existing, read_regular
 from study.harness.design.load import REPORTS, RESULTS
-from study.record.document import ManifestDocument, fault_of
-from study.record.record import CONVERGED, unseal
+from study.record.record import CONVERGED, ManifestDocument, fault_of, unseal
 from study.record.store import CURRENT, FileStamp
 from study.reporting.content.text import clean, slug
 from study.reporting.output.page import (
@@ -123,7 +121,7 @@ def _names(folder: Path) -> set[str]:
 
 def progress_of(folder: Path) -> StudyProgress | None:
     """Read what the runner in a results folder said last; None where none is at work."""
-    note = atomic_files.holder(folder)
+    note = holder(folder)
     if note is None:
         return None
     done, total = note.get("done"), note.get("total")

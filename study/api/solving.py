@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.ground.atomic_files import is_special, replaced, write_atomic
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
+from study.ground.files import is_special, replaced, write_atomic
 from study.harness.design.load import load_problem, loaded_problem
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.stability import check

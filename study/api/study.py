@@ -20,7 +20,6 @@ from study.api.opened_study import load as load_study
 from study.api.predicting import Permission
 from study.execution.local import Executor, Worker, check_limit, uncollected
 from study.external.command import Function, PythonFunction, check_allowed
-from study.ground.atomic_files import own_folder
 from study.ground.errors import (
     Fault,
     InputError,
@@ -29,6 +28,7 @@ from study.ground.errors import (
     StudyError,
     WriteError,
 )
+from study.ground.files import own_folder
 from study.harness.design.load import (
     REPORTS,
     RESULTS,
@@ -44,25 +44,26 @@ from study.harness.runner.adaptive_cells import continued, run_adaptive
 from study.harness.runner.batch import (
     WARN,
     Progress,
+    Work,
     check_choice,
     check_stale,
+    expand,
     in_phase,
     manifest_of,
     mixed_meshes,
     noted_progress,
     run_batch,
 )
-from study.harness.runner.expansion import Work, expand
 from study.harness.runner.record_analysis import effects_by_depth
 from study.harness.runner.study_refinement import compare_spaces, validate
 from study.harness.runner.study_refinement import refine as refine_study
-from study.record.document import are_imported
+from study.record.record import are_imported
 from study.record.store import Store, is_same
 from study.reporting.figures.axes import load_libraries
 from study.reporting.output import write as provenance
 from study.reporting.output.page import DETAILS
 from study.reporting.output.write import Difference, Verification, checked_formats, main_file, write
-from study.simulation.fit_problem import Allowed, externals, placed_files
+from study.simulation.job import Allowed, externals, placed_files
 from study.simulation.provenance import versions
 from study.simulation.tasks import Engine, computing_on, default_jobs, memory_of, processes
 from study.simulation.virtual_specimens import usual_generator, write_virtual

@@ -87,7 +87,7 @@ def virtual(
     """Write virtual measurements as CSV."""
     from study.harness.design.load import design_root, load
     from study.laboratory.tracker.tracker_recording import is_tracking
-    from study.simulation.fit_problem import data_root
+    from study.simulation.job import data_root
 
     chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}
     progress = partial(print, file=sys.stderr, flush=True)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         MedianEstimate,
     )
     from study.mechanics.measurement.inspection import Inspection
-    from study.simulation.staged_fit import FitStep
+    from study.simulation.fit_task import FitStep
 
 
 Numerics = Annotated[bool, "Bound the error by meshes and load steps.", SWITCH]
@@ -200,7 +200,7 @@ def inspection_blocks(inspection: Inspection) -> Iterator[Block]:
 def _iterations() -> Iterator[Callable[[FitStep], None]]:
     """One line on stderr: stage, iteration, cost and constants; redrawn where it can be."""
     from study.mechanics.material.material import is_dimensionless, unit_shown
-    from study.simulation.staged_fit import LAST
+    from study.simulation.fit_task import LAST
 
     width = 0
 

@@ -455,7 +455,7 @@ def invert(
 def _permission(data: Path | None, allow_commands: bool) -> Permission:
     """Say what confirming runs may use."""
     from study.api.predicting import Permission
-    from study.simulation.fit_problem import Allowed
+    from study.simulation.job import Allowed
 
     return Permission(data, Allowed(allow_commands))
 

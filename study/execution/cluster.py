@@ -38,8 +38,8 @@ from study.execution.local import (
     check_limit,
     stopped_late,
 )
-from study.ground.bounded_file import MAX_BYTES, read_existing
 from study.ground.errors import Fault, InputError, RefusedError, SchedulerLostError
+from study.ground.files import MAX_BYTES, read_existing
 
 #: seconds to reach a scheduler; a scheduler silent for as long is taken for gone
 PATIENCE_S = 30.0

@@ -29,8 +29,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from study.ground.bounded_file import UnreadableError, parse_json
 from study.ground.errors import Fault, InputError
+from study.ground.files import UnreadableError, parse_json
 from study.ground.working_folder import SafeChildren
 
 # A unit of work, what became of it, and what an executor promises.

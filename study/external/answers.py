@@ -30,10 +30,10 @@ from study.execution.local import Process, ProcessPool
 from study.external.forward_model import NUMBER, NUMBER_PATTERN, CurveFile, ValueFile
 from study.ground import units
 from study.ground.arrays import Array
-from study.ground.bounded_file import UnreadableError, named_once, parse_json, read_regular
 from study.ground.curve import Curve, spline_from_origin
 from study.ground.errors import Fault, InputError, UnitError, nearest
-from study.record.document import MarkerDocument, MeshDocument, ProgramDocument, SolverDocument
+from study.ground.files import UnreadableError, named_once, parse_json, read_regular
+from study.record.record import MarkerDocument, MeshDocument, ProgramDocument, SolverDocument
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template

@@ -45,12 +45,12 @@ from study.external.answers import (
 )
 from study.external.forward_model import ForwardCell, ForwardFiles, ForwardModel, target_and_source
 from study.ground.arrays import Array
-from study.ground.bounded_file import read_regular
 from study.ground.canonical import Json, digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, StoreError
+from study.ground.files import read_regular
 from study.ground.working_folder import UserImports, environment
-from study.record.document import ProgramDocument, SolverDocument, StepDocument
+from study.record.record import ProgramDocument, SolverDocument, StepDocument
 
 # One run of a program: supervised, within limits of time, output and disk, with nothing left.
 

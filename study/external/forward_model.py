@@ -25,11 +25,14 @@ from study.ground.declaration import (
     MAX_NAME,
     Bad,
     Duration,
+    Faults,
     Reads,
+    Table,
     document_of,
     flag,
     measured,
     name,
+    noted,
     quoted,
     reason,
     relative_path,
@@ -39,7 +42,6 @@ from study.ground.declaration import (
     text,
     word,
 )
-from study.ground.diagnostics import Faults, Table, noted
 from study.ground.errors import Fault, UnitError, nearest
 
 if TYPE_CHECKING:
@@ -637,10 +639,7 @@ def _like(read: tuple[Value, str], usual: tuple[Value, str], raw: object) -> tup
         mend = "write true or false" if isinstance(first, bool) else "make all its levels one kind"
         raise Bad(f"{rule}, got {shown(raw)}", mend)
     if isinstance(value, float):
-        try:
-            return units.converted(value, unit, into), into
-        except UnitError as error:
-            raise Bad(error.faults[0].rule, error.faults[0].mend) from error
+        return units.converted(value, unit, into), into
     return value, unit
 
 

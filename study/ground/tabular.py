@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
-from study.ground.bounded_file import read_bytes, table_text
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.files import read_bytes, table_text
 from study.ground.units import is_unit
 
 if TYPE_CHECKING:

@@ -21,32 +21,39 @@ from functools import partial
 from pathlib import Path
 from typing import Self, TypeVar, cast
 
-from study.ground import atomic_files
-from study.ground.atomic_files import (
-    ID,
-    OUTSIDE,
-    Batch,
-    FileSystem,
-    inside,
-    is_leftover,
-    write_atomic,
-    write_error,
-)
-from study.ground.bounded_file import MAX_JSON_BYTES, NotRegularError, read_regular
 from study.ground.canonical import json_text, plain
 from study.ground.curve import Curve
 from study.ground.errors import NewerSchemaError, StoreError
-from study.record.document import (
+from study.ground.files import (
+    ID,
+    MAX_JSON_BYTES,
+    OUTSIDE,
+    Batch,
+    FileSystem,
+    NotRegularError,
+    exclusive,
+    holder,
+    inside,
+    is_leftover,
+    read_regular,
+    sign,
+    write_atomic,
+    write_error,
+)
+from study.record.record import (
+    CONVERGED,
     WITH_CONSTANTS,
     CurveKey,
     ManifestDocument,
+    Record,
     SolutionDocument,
     StoredFitDocument,
     fault_of,
     fault_of_curves,
     fault_of_fits,
+    seal,
+    unseal,
 )
-from study.record.record import CONVERGED, Record, seal, unseal
 
 # Results that are no records: fits that cases share, solutions of refinement series.
 
@@ -240,7 +247,7 @@ class Store:
             self._system.make_folder(self.path)
         except OSError as error:
             raise write_error(self.path, error) from error
-        with atomic_files.exclusive(self.path):
+        with exclusive(self.path):
             self._locked = True
             try:
                 self._forget()
@@ -258,11 +265,11 @@ class Store:
     def note(self, progress: Mapping[str, object]) -> None:
         """Say to other processes how far the runner is, while this one holds the folder."""
         if self._locked:
-            atomic_files.sign(self.path, progress)
+            sign(self.path, progress)
 
     def running(self) -> dict[str, object] | None:
         """Pid, host, start and progress of the runner in this folder; None if there is none."""
-        return atomic_files.holder(self.path)
+        return holder(self.path)
 
     def write_json(self, name: str, content: object, *, followed: bool = False) -> None:
         """Store any JSON content under a name such as ``"study"``, sealed and atomically."""

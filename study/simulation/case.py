@@ -23,25 +23,28 @@ from study.mechanics.measurement.marker_states import MarkerStates, read_markers
 from study.mechanics.measurement.measurement_section import MarkerSpec
 from study.mechanics.setup.geometry import Block
 from study.mechanics.setup.setup import Problem
-from study.record.document import (
+from study.record.record import (
+    STATUSES,
     CurveKey,
     FitDocument,
     MarkerDocument,
     ParameterDocument,
     PlateFitDocument,
+    Record,
     ResponseDocument,
     SolverDocument,
 )
-from study.record.record import STATUSES, Record
 from study.simulation import response
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import (
+from study.simulation.job import (
+    CONSTANTS,
+    CaseJob,
+    ScorePair,
     external_curve,
     external_of,
     judged_where_simulated,
     prediction_of,
 )
-from study.simulation.job import CONSTANTS, CaseJob, ScorePair
 from study.simulation.response import simulated_at
 
 if TYPE_CHECKING:

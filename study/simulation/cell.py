@@ -13,6 +13,8 @@ from study.external.forward_model import ForwardCell, PlacedFile
 from study.ground.canonical import Json, canonical, digest, hashed
 from study.ground.declaration import document_of, field_named, section_of, table_of, values_of
 from study.ground.errors import Fault, InputError
+from study.mechanics.forward.closed_form import height_and_area
+from study.mechanics.measurement.recording import Gauge
 from study.mechanics.setup.geometry import (
     INDENTERS,
     SPECIMENS,
@@ -124,6 +126,21 @@ class CellProblem(ForwardCell):
         if isinstance(specimen, Surface) and file is not None:
             specimen = replace(specimen, file=file.path)
         return Setup(specimen, self.test, self.model, self.height_mm)
+
+    @cached_property
+    def gauge(self) -> Gauge | None:
+        """Return what turns recorded strain and stress into displacement and force."""
+        setup = self.setup
+        if setup.height_mm is None:
+            return None
+        height, area = height_and_area(setup.specimen)
+        power, indenter = 1.0, setup.test.indenter
+        if indenter is not None:
+            # the slope of the force is in proportion to the radius of contact (Sneddon 1965)
+            shallow = 0.1 * (setup.test.displacement_mm or height)
+            radii = [indenter.contact_radius_mm(depth) for depth in (shallow, 2 * shallow)]
+            power += math.log2(radii[1] / radii[0])
+        return Gauge(area, height, setup.kind.mode, setup.kind.sense, setup.is_homogeneous, power)
 
     @property
     def is_meshed_freely(self) -> bool:

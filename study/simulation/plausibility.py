@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
 from study.external.forward_model import ForwardCell
-from study.ground.declaration import values_of
-from study.ground.diagnostics import Faults, is_known
+from study.ground.declaration import Faults, is_known, values_of
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import ENERGIES, Material
 from study.mechanics.material.stability import PLAUSIBLE_MU0, stability, surface_warning

@@ -12,8 +12,8 @@ from importlib import metadata
 from pathlib import Path
 
 import study
-from study.ground.atomic_files import write_atomic
 from study.ground.errors import StoreError
+from study.ground.files import write_atomic
 
 #: Modules that do the tasks of a worker; what they import decides the numbers.
 _TASKS = ("study.simulation.case", "study.simulation.fit_task", "study.simulation.solve_task")

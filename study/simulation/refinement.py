@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +24,7 @@ from study.ground.canonical import Keyed, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
 from study.mechanics.forward.closed_form import height_and_area
-from study.mechanics.forward.formal_order import FormalOrder as FormalOrder
-from study.mechanics.forward.formal_order import element_size_mm, formal_order
+from study.mechanics.forward.formal_order import FormalOrder, element_size_mm, formal_order
 from study.mechanics.setup.geometry import Enclosed, Flat
 from study.mechanics.setup.setup import Problem, Setup
 from study.simulation.cell import CellProblem, case_id
@@ -45,10 +43,6 @@ from study.statistics.convergence.grid_convergence import (
     assumed_order,
     grid_convergence,
 )
-
-if TYPE_CHECKING:
-    from study.simulation.job import CaseJob
-
 
 #: seed of the other mesh of a surface, whose difference tells how far a choice of meshes moves it
 OTHER_MESH = 1
@@ -276,30 +270,6 @@ def quantity(name: str) -> tuple[Callable[[Curve], float], str]:
         rule = f"{name!r} needs measured curves"
         raise InputError(Fault("converge.qoi", rule, nearest(name, QUANTITIES)))
     return QUANTITIES[name]
-
-
-def base_size_mm(job: CaseJob) -> float:
-    """Element size of a case, named or given, in mm."""
-    return element_size_mm(in_mind(job))
-
-
-def in_mind(job: CaseJob) -> Problem:
-    """Problem of a case whose constants are not known yet."""
-    return job.case.tested.with_placeholder(job.depth_mm if job.directions else 1.0)
-
-
-#: reason of the formal order of a stranger's solver where the design does not give it
-_UNKNOWN = "give [converge] formal_order if the solver promises one"
-
-
-def promised(job: CaseJob) -> FormalOrder:
-    """Order that the elements of a case promise, or what is said of a stranger's solver."""
-    refinement = job.case.problem.refinement
-    if refinement is None:
-        return formal_order(in_mind(job))
-    order = refinement.formal_order
-    given = f"as [converge] says of parameters.{refinement.name}"
-    return FormalOrder(order, _UNKNOWN if order is None else given)
 
 
 # Meshes of a series that can be judged, and the sizes by which they are.

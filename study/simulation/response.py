@@ -10,7 +10,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.mechanics.material.material import is_constant, unit_shown
-from study.record.document import ResponseDocument
+from study.record.record import ResponseDocument
 
 # Responses of a predicted curve alone, by their names in a study file.
 

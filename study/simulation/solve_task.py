@@ -12,10 +12,9 @@ import numpy as np
 
 from study.execution.local import Executor, Results, Task
 from study.external.command import External
-from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
 from study.ground.curve import Curve
-from study.ground.errors import InputError
+from study.ground.files import own_folder
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.forward.finite_element import load_compiled
 from study.record.store import Store
@@ -143,21 +142,6 @@ def known_compression() -> tuple[str, str]:
     error = abs(solution.curve.force_N[-1] / exact.force_N[0] - 1)
     finding = f"force within {error:.1e} of the closed form, by {solution.solver}"
     return ("pass" if error < 1e-6 else "fail"), finding
-
-
-def estimated(
-    cell: CellProblem, depth_mm: float | None, patience_s: float
-) -> tuple[float, float, float]:
-    """Seconds and memory of a solution, and the seconds that it took to count its unknowns."""
-    from study.mechanics.solver.solution_cost import estimate
-
-    depth = depth_mm or 0.2 * (cell.height_mm or 1.0)
-    try:
-        problem = cell.with_placeholder(depth, C10_MPa=0.005)
-        estimated = estimate(problem.setup, patience_s=patience_s)
-        return float(estimated.seconds), float(estimated.memory_MB), estimated.counting_s
-    except (InputError, ValueError, RuntimeError):
-        return 1.0, 0.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
 
 
 def _options(task: SolveTask) -> Options | None:

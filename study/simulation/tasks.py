@@ -18,12 +18,11 @@ from study.execution.local import Document, Executor, Loky, Perform, Task, free_
 from study.external.command import External
 from study.external.forward_model import FUNCTION_SECONDS, ForwardCell
 from study.ground.canonical import digest
-from study.ground.errors import Fault, InputError, UnitError
-from study.ground.units import parse
+from study.ground.errors import Fault, InputError
+from study.ground.units import naming, parse
 from study.simulation import case, fit_task, solve_task
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import USUAL_EVALUATIONS, FitPart, FitProblem
-from study.simulation.job import CaseJob, FitJob
+from study.simulation.job import USUAL_EVALUATIONS, CaseJob, FitJob, FitPart
 from study.simulation.provenance import versions
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
@@ -56,17 +55,9 @@ def processes(
 
 
 def memory_of(text: str) -> float:
-    """Read an amount of memory in MB.
-
-    Examples
-    --------
-    >>> memory_of("20 GB")
-    20000.0
-    """
-    try:
+    """Read an amount of memory such as ``"20 GB"``, in MB."""
+    with naming("memory"):
         amount_MB = parse(text, "memory")
-    except UnitError as error:
-        raise InputError([replace(fault, where="memory") for fault in error.faults]) from error
     if amount_MB <= 0:
         raise InputError(Fault("memory", f"must be more than zero, got {text!r}"))
     return amount_MB
@@ -189,11 +180,6 @@ class Costs:
         self._known: dict[str, tuple[float, float]] = {}
         self._anchored: set[str] = set()
 
-    def fit_seconds(self, problem: FitProblem) -> float:
-        """Seconds of one calibration."""
-        names = problem.material.calibrated_names
-        return _OVERHEAD_S + sum(self._test_seconds(test, names) for test in problem.tests)
-
     def _test_seconds(self, test: FitPart, names: Sequence[str]) -> float:
         """Seconds that one test of a fit takes: nothing where it has a closed form."""
         external = External.of(test.problem)
@@ -231,14 +217,16 @@ class Costs:
 
     def seconds(self, job: FitJob | CaseJob) -> float:
         """Seconds of a fit, or of a case without its fits."""
-        if isinstance(job, FitJob):
-            return self.fit_seconds(job.problem)
-        return self.case_seconds(job)
+        if isinstance(job, CaseJob):
+            return self.case_seconds(job)
+        names = job.problem.material.calibrated_names
+        return _OVERHEAD_S + sum(self._test_seconds(test, names) for test in job.problem.tests)
 
     def MB(self, job: FitJob | CaseJob) -> float:  # noqa: N802
         """Peak memory of a fit or a case; none worth counting without a simulation of its own."""
         if isinstance(job, FitJob):
-            return self.fit_memory_MB(job.problem)
+            simulated = (t.problem for t in job.problem.tests if t.method == "inverse-fem")
+            return max(map(self.memory_MB, simulated), default=0.0)
         problem = job.case.problem
         if job.forward == "external":
             return (None if problem.forward is None else problem.forward.memory_MB) or 0.0
@@ -247,8 +235,7 @@ class Costs:
 
     def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
         """Wall time on a number of workers."""
-        work = sum(self.fit_seconds(fit.problem) for fit in fits)
-        return (work + sum(self.case_seconds(job) for job in cases)) / jobs
+        return (sum(map(self.seconds, fits)) + sum(map(self.seconds, cases))) / jobs
 
     def solve_seconds(self, problem: CellProblem, depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""
@@ -261,18 +248,25 @@ class Costs:
             return stated or 0.0
         return self._estimate(problem, None)[1]
 
-    def fit_memory_MB(self, problem: FitProblem) -> float:  # noqa: N802
-        """Peak memory of one calibration."""
-        simulated = [test.problem for test in problem.tests if test.method == "inverse-fem"]
-        return max(map(self.memory_MB, simulated), default=0.0)
-
     def _estimate(self, problem: CellProblem, depth_mm: float | None) -> tuple[float, float]:
         document = problem.document()  # of all that differ in their material alone
         key = digest([{k: document[k] for k in ("specimen", "test", "model")}])
         if key not in self._known:
-            seconds, memory, spent = solve_task.estimated(problem, depth_mm, self._patience_s)
-            self._known[key], self._patience_s = (seconds, memory), self._patience_s - spent
+            self._known[key] = self._estimated(problem, depth_mm)
         return self._known[key]
+
+    def _estimated(self, cell: CellProblem, depth_mm: float | None) -> tuple[float, float]:
+        """Seconds and memory of a solution; counting its unknowns takes patience."""
+        from study.mechanics.solver.solution_cost import estimate
+
+        depth = depth_mm or 0.2 * (cell.height_mm or 1.0)
+        try:
+            problem = cell.with_placeholder(depth, C10_MPa=0.005)
+            estimated = estimate(problem.setup, patience_s=self._patience_s)
+        except (InputError, ValueError, RuntimeError):
+            return 1.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
+        self._patience_s -= estimated.counting_s
+        return float(estimated.seconds), float(estimated.memory_MB)
 
 
 def _evaluations(names: Sequence[str]) -> int:

@@ -18,9 +18,9 @@ from typing import Protocol, cast
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.atomic_files import write_atomic, write_new
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.files import write_atomic, write_new
 from study.ground.tabular import csv_text
 from study.ground.units import parse
 from study.mechanics.material.energy import Compressibility
@@ -31,8 +31,7 @@ from study.mechanics.setup.geometry import Block, Enclosed
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import MeshName, Model, Order, Setup
 from study.simulation.cell import CellProblem, Treatment
-from study.simulation.fit_problem import folders, located
-from study.simulation.job import TRUTH_SUFFIX
+from study.simulation.job import TRUTH_SUFFIX, folders, located
 from study.simulation.plausibility import half_width
 from study.simulation.problem_file import Identification, Virtual
 from study.simulation.solve_task import SolveTask, by_workers

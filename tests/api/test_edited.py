@@ -124,7 +124,7 @@ def test_why_names_the_file_that_changed(home):
 def test_other_code_keeps_the_finished_study(home, monkeypatch):
     """All cases keep their names and none its input: each record is laid by for the old study."""
     before = study("analyze", "results/small", "--json").json
-    for module in ("harness.runner.expansion", "simulation.fit_problem"):
+    for module in ("harness.runner.batch", "simulation.job"):
         monkeypatch.setattr(f"study.{module}.code_version", lambda: "1+other")
     monkeypatch.setattr("study.simulation.provenance.code_version", lambda: "1+other")
     with pytest.raises(RefusedError, match="12 results have another input"):

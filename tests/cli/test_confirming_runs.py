@@ -11,7 +11,7 @@ from study.api.predicting import Permission
 from study.external.command import PythonFunction
 from study.ground.canonical import plain
 from study.record.store import Store
-from study.simulation.fit_problem import Allowed
+from study.simulation.job import Allowed
 from study.statistics.surfaces.emulator import fit_together
 from study.statistics.surfaces.surface_result import level_difference
 from tests.cli.small import CSV, measured, pressed, responses, study, success

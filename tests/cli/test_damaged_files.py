@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from study import api
-from study.ground.atomic_files import FileSystem, replaced, write_new
 from study.ground.errors import DiskFullError, StoreError
+from study.ground.files import FileSystem, replaced, write_new
 from study.record.record import Record, seal
 from tests.cli.small import refusal, study, success
 from validation.damage import damages, sealed

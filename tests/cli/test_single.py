@@ -11,18 +11,10 @@ import numpy as np
 import pytest
 
 from study import api
-from study.ground.atomic_files import write_atomic
 from study.ground.curve import Curve
 from study.ground.errors import InputError, WriteError
-from tests.cli.small import (
-    CSV,
-    incompressible_force,
-    pressed,
-    refusal,
-    responses,
-    study,
-    success,
-)
+from study.ground.files import write_atomic
+from tests.cli.small import CSV, incompressible_force, pressed, refusal, responses, study, success
 
 SOLVE_KEYS = {
     "status", "displacement_mm", "force_N", "stiffness_N_per_mm", "parameters", "force_gradient",

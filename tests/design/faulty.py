@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from study.ground.diagnostics import dump_toml, parse_toml
+from study.ground.declaration import dump_toml, parse_toml
 from study.ground.errors import InputError
 from study.harness.design.load import CALIBRATION, loads, loads_problem
 

@@ -3,6 +3,10 @@
 What is wrong with keys stands in ``faulty_files``; here is what no change of a key shows.
 """
 
+from __future__ import annotations
+
+import re
+from itertools import groupby
 from pathlib import Path
 
 import pytest
@@ -17,7 +21,10 @@ from study.harness.design.load import (
     loads,
     loads_problem,
 )
+from study.mechanics.measurement.measurement_section import Range
 from study.simulation import plausibility
+from tests.cli.small import measured
+from tests.design import faulty
 
 PROBLEM = """
 schema = 1
@@ -172,3 +179,87 @@ def test_plausibility_warns_of_units():
     )
     assert "is the unit right?" in told[0]
     assert none == ()
+
+
+STORED = faulty.stored()
+GROUPS = {
+    f"{base}: {table}": list(rows)
+    for (base, table), rows in groupby(
+        sorted(STORED, key=lambda one: (one.base, one.table)), lambda one: (one.base, one.table)
+    )
+}
+
+
+@pytest.mark.parametrize("base", faulty.LOADERS | faulty.OF_SINGLE_RULES)
+def test_the_sound_files_are_sound(base):
+    assert faulty.faults_of(base, {}) == []
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_faults_of_changed_files(group):
+    differing, poorer = {}, {}
+    for kept in GROUPS[group]:
+        found = faulty.faults_of(kept.base, kept.change)
+        if [fault[:2] for fault in found] != [fault[:2] for fault in kept.faults]:
+            differing[str(kept.change)] = {"kept": kept.faults, "found": found}
+        elif any(map(is_poorer, found, kept.faults)):
+            poorer[str(kept.change)] = {"kept": kept.faults, "found": found}
+    assert differing == {}
+    assert poorer == {}
+
+
+def is_poorer(found, kept):
+    """Whether a mend is gone, or no longer names the nearest key."""
+    named = re.match(r"did you mean '[^']*'", kept[2])
+    return bool(kept[2] and not found[2]) or bool(named and named[0] not in found[2])
+
+
+def test_every_key_is_changed():
+    met = set()
+    every = {(base, str(c)) for base in faulty.LOADERS for c in faulty.changes(base, met)}
+    assert every <= {(one.base, str(one.change)) for one in STORED}
+
+
+PRESSED = """[[tests]]
+test = { kind = "compression", interface = "frictionless", displacement = "6 mm" }
+role = "fit"
+weight = "scatter"
+"""
+SMALLER = """[[tests]]
+test = { kind = "compression", interface = "bonded" }
+specimen = { shape = "cylinder", radius = "10 mm", height = "20 mm" }
+role = "held-out"
+weight = 2.5
+"""
+TEXT = (
+    'schema = 1\nspecimen = { shape = "cylinder", radius = "25 mm", height = "30 mm" }\n'
+    'model = { space = "axisymmetric", element_order = "quadratic" }\n'
+    'material = { model = "reduced-polynomial", order = 2, poisson_ratio = 0.4995 }\n'
+    + "".join(
+        test + measured(file).replace("[m", "[tests.m") + 'range = ["1 %", "20 %"]\n'
+        for test, file in ((PRESSED, "a.csv"), (SMALLER, "b.csv"))
+    )
+)
+CONICAL = (Path(__file__).parents[2] / "designs" / "conical-indentation.toml").read_text()
+
+
+def test_tests_inherit_specimen_and_model():
+    found = load_module.CALIBRATION.loads(TEXT)
+    fit, held_out = found.tests
+    assert found.material.order == 2
+    assert fit.problem.setup.model.mesh == held_out.problem.setup.model.mesh == "medium"
+    assert (fit.role, fit.weight) == ("fit", "scatter")
+    assert (held_out.role, held_out.weight) == ("held-out", 2.5)
+    assert (fit.problem.setup.height_mm, held_out.problem.setup.height_mm) == (30.0, 20.0)
+    assert fit.measurements.range == Range("percent", 1.0, 20.0)
+    assert (fit.problem.setup.test.depth_mm, held_out.problem.setup.test.depth_mm) == (6.0, 4.0)
+    assert held_out.problem.setup.test.base == "bonded"
+
+
+def test_no_calibration_where_constants_are_given():
+    start, end = CONICAL.index("[calibration]"), CONICAL.index("[factors]")
+    text = CONICAL[:start] + CONICAL[end:]
+    fixed = text.replace('model = "neo-hookean"\n', 'model = "neo-hookean"\nC10 = "5 kPa"\n')
+    cells = load_module.loads(fixed).treatments
+    assert not cells[0].cell.is_calibrated  # neo-Hookean: constants given
+    assert cells[-1].cell.is_calibrated

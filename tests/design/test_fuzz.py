@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from study.ground.diagnostics import dump_toml, parse_toml
+from study.ground.declaration import dump_toml, parse_toml
 from study.ground.errors import InputError
 from study.harness.design import spec
 from study.harness.design.load import CALIBRATION, dump, loads, loads_problem

@@ -123,11 +123,11 @@ def test_the_reference_names_every_key_that_a_file_can_have():
         import reference
     finally:
         sys.path.remove(str(DOCS))
-    from study.simulation import overlay
+    from study.simulation import problem_file
 
     text = reference.design_file()
     for key in ("specimen.radius", "test.interface", "model.mesh_size", "measurements.zero"):
-        assert overlay.may_vary(key)
+        assert problem_file.may_vary(key)
         assert f"| `{key.split('.')[1]}` |" in text
     for header in ("[material]", "[markers]", "[forward]", "[[constraint]]", "[virtual]"):
         assert f"## `{header}`" in text

@@ -28,9 +28,8 @@ from study.external.forward_model import ForwardFiles, ForwardModel, ParameterPr
 from study.ground.curve import Curve
 from study.ground.errors import InputError, RefusedError
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import fit_key, fit_problem, request
 from study.simulation.fit_task import fitted
-from study.simulation.job import FitJob
+from study.simulation.job import FitJob, fit_key, fit_problem, request
 from tests.cli.small import CSV, measured, pressed, responses
 from tests.waiting import CAP_S, is_alive, until
 

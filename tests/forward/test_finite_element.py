@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from study.harness.design.load import loads
-from study.harness.runner.batch import run_batch
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand, run_batch
 from study.mechanics.forward.finite_element import Anchors
-from study.record.document import CurveKey
-from study.record.record import table
+from study.record.record import CurveKey, table
 from study.record.store import Store
 from study.simulation.tasks import processes
 from study.simulation.virtual_specimens import usual_generator, write_virtual

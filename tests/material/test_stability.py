@@ -17,7 +17,7 @@ from study.mechanics.material.stability import (
     tangent,
 )
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import stability_over
+from study.simulation.job import stability_over
 
 RP2 = {"C10": 9.1e-3, "C20": -2.5e-3}  # the closed-form fit of a silicone mix at 20 %
 

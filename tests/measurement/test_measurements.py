@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.ground import bounded_file, tabular
+from study.ground import files, tabular
 from study.ground.declaration import Bad
 from study.ground.errors import InputError
 from study.mechanics.measurement.measurement_section import (
@@ -366,7 +366,7 @@ def test_groups_from_the_names_of_files(tmp_path):
 
 
 def test_size_caps(tmp_path, monkeypatch):
-    monkeypatch.setattr(bounded_file, "MAX_BYTES", 1000)
+    monkeypatch.setattr(files, "MAX_BYTES", 1000)
     assert "holds more than" in refusal(tmp_path, LINE + "5,10\n" * 1000)
     assert "holds more than" in refusal(tmp_path, gzip.compress((LINE + "5,10\n" * 1000).encode()))
     monkeypatch.setattr(tabular, "MAX_ROWS", 10)

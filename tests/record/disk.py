@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 from pathlib import Path
 
-from study.ground.atomic_files import FileSystem
+from study.ground.files import FileSystem
 
 
 class PowerLoss(BaseException):

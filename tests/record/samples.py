@@ -6,8 +6,7 @@ import numpy as np
 
 from study.ground.curve import Curve
 from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
-from study.record.document import CurveKey, ManifestDocument
-from study.record.record import Record
+from study.record.record import CurveKey, ManifestDocument, Record
 
 #: cases of a small study
 CASES = ("a1", "b2", "c3")

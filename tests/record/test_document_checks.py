@@ -7,17 +7,18 @@ import pytest
 
 from study.ground.curve import Curve
 from study.ground.errors import StoreError
-from study.record.document import (
+from study.record.record import (
     AdaptiveStep,
     ConfirmedRow,
     CurveKey,
     NumericalRow,
+    Record,
     SpaceRow,
     ValidationRow,
     fault_of_comparisons,
     fault_of_series,
+    seal,
 )
-from study.record.record import Record, seal
 from study.record.store import Store
 from tests.record.samples import FIT, NUMERICAL, manifest, record
 from validation.damage import Damage, damages, sealed

@@ -6,8 +6,7 @@ import os
 import pytest
 
 from study.ground.errors import NewerSchemaError, StoreError
-from study.record.document import NumericalRow
-from study.record.record import seal, table
+from study.record.record import NumericalRow, seal, table
 from study.record.store import Store
 from tests.record.disk import FailingDisk, PowerLoss
 from tests.record.samples import CASES, FIT, NUMERICAL, manifest, record

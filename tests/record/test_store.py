@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from study.ground.atomic_files import TEMPORARY, own_folder
 from study.ground.errors import StoreError
+from study.ground.files import TEMPORARY, own_folder
 from study.record.record import table
 from study.record.store import Store
 from tests.record.disk import FailingDisk, PowerLoss

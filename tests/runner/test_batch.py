@@ -13,8 +13,7 @@ from study.execution.local import Loky
 from study.ground.errors import StoreError
 from study.harness.design.load import loads
 from study.harness.runner import batch
-from study.harness.runner.batch import Progress, in_phase, run_batch
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import Progress, expand, in_phase, run_batch
 from study.mechanics.forward.closed_form import homogeneous
 from study.record.record import table
 from study.record.store import Store
@@ -133,7 +132,7 @@ def test_a_failure_is_a_record_and_stops_nothing_else(
 
 
 def test_records_of_other_code_are_not_used(clean, monkeypatch):
-    for module in ("harness.runner.expansion", "simulation.fit_problem"):
+    for module in ("harness.runner.batch", "simulation.job"):
         monkeypatch.setattr(f"study.{module}.code_version", lambda: "another")
     other = expand(clean[0].design, clean[0].data.root)
     store = Store(clean[1])
@@ -200,7 +199,7 @@ def test_code_version_follows_what_the_tasks_import():
     needed = {
         "ground/curve.py",
         "simulation/response.py",
-        "simulation/staged_fit.py",
+        "simulation/fit_task.py",
         "mechanics/element/assembly.py",
         "mechanics/forward/closed_form.py",
         "mechanics/forward/finite_element.py",

@@ -14,9 +14,9 @@ from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
-from study.simulation import fit_task, staged_fit
+from study.simulation import fit_task
 from study.simulation.calibration import calibrate_tests, model_comparison
-from study.simulation.fit_problem import FitProblem, fitted_test
+from study.simulation.job import FitProblem, fitted_test
 from tests.cli.small import refusal, study, success
 
 SPECIMEN = Cylinder(25.0, 30.0)
@@ -420,8 +420,10 @@ def test_a_kink_is_called_alike_in_every_verb(tmp_path, monkeypatch):
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
     path = case(tmp_path, [{}])
 
+    staged_fit = fit_task.staged_fit
+
     def ended(*given, **more):
-        done = staged_fit.staged_fit(*given, **more)
+        done = staged_fit(*given, **more)
         none = np.full_like(done.fit.covariance, np.nan)
         kink = replace(done.fit, status=Status.at_kink, covariance=none, standard_error=none[0])
         return replace(done, fit=kink)

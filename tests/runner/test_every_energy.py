@@ -1,15 +1,20 @@
-"""From a file to a force for every energy: what `study solve` reads, refuses and reports."""
+"""From a file to a force for every energy, and foams, which are weighed where sides are free."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from study.api.calibrating import choose_energy
 from study.api.solving import solve
 from study.ground.errors import InputError
+from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
-from tests.cli.small import case_file, pressed
+from tests.cli.small import case_file, gauge, pressed, recorded
+from tests.fem.problems import long_verification
 from tests.material.modes import uniaxial
 
 ENERGIES = {
@@ -77,3 +82,31 @@ def test_a_problem_made_in_python_is_judged_too(model, constants, said):
     made = Material(model, constants, incompressible=True)
     with pytest.raises(InputError, match=said):
         solve(Problem(Cylinder(10, 10), Test("compression", 3.0), made, Model(mesh_size_mm=5.0)))
+
+
+def written(folder, compressibility):
+    """Tension and compression of a foam with 1 % of noise; mu = 20 kPa, alpha = 8."""
+    foam = Material("ogden-hill", {"mu1": 0.02, "alpha1": 8.0}, poisson_ratio=0.2)
+    rng, tests = np.random.default_rng(3), ""
+    for kind, end, more in (("tension", 1.5, ""), ("compression", 0.5, ', sign = "negative"')):
+        stretch = np.linspace(1 + 0.04 * (end - 1), end, 25)
+        stress = 1e3 * LOADINGS["uniaxial"].nominal(foam, stretch).stress
+        stress += 0.01 * np.abs(stress).max() * rng.normal(size=stress.size)
+        columns = {"stretch": ("1", stretch), "stress": ("kPa", stress)}
+        tests += recorded(folder, kind, f'kind = "{kind}"', columns, more)
+    return case_file(folder, gauge(f'model = "neo-hookean"\n{compressibility}'), tests)
+
+
+@long_verification
+@pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
+def test_a_foam_is_known_among_all_energies(tmp_path):
+    found = choose_energy(written(tmp_path, "poisson_ratio = 0.2"), data=tmp_path)
+    assert found.best == "ogden-hill-1"
+    # 1 % of noise in 50 rows
+    assert found.fits["ogden-hill-1"].fit.values == pytest.approx([0.02, 8.0], rel=0.01)
+
+
+@long_verification
+def test_an_incompressible_solid_is_no_foam(tmp_path):
+    found = choose_energy(written(tmp_path, "incompressible = true"), data=tmp_path)
+    assert not [k for k in (*found.fits, *found.failures) if k.startswith("ogden-hill")]

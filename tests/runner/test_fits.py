@@ -13,9 +13,8 @@ from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Cylinder
 from study.simulation import fit_task
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import FitResult, fit_key, fit_problem
 from study.simulation.fit_task import fitted
-from study.simulation.job import FitJob
+from study.simulation.job import FitJob, FitResult, fit_key, fit_problem
 
 from .conftest import compressed
 from .fake_worker import BONDED, solve

@@ -11,9 +11,9 @@ from study.mechanics.solver.load_path import LoadPath
 from study.simulation import fit_task
 from study.simulation.calibration.calibration_bound import estimated_bound
 from study.simulation.cell import CellProblem
-from study.simulation.staged_fit import TOLERANCES, StagedSearch, staged_fit
-from study.simulation.staged_fit import FitPart as Part
-from tests.forward.test_halfspace import INDENTERS
+from study.simulation.fit_task import TOLERANCES, StagedSearch, staged_fit
+from study.simulation.fit_task import FitPart as Part
+from tests.forward.test_closed_form import INDENTERS
 
 from .conftest import compressed
 
@@ -200,7 +200,7 @@ def test_whole_calibration_of_three_constants_in_ten_solves():
     measured = MeasuredCurve("virtual", curve(setting, true))
     start = np.array([3 * v for v in true.values()])
     parts = [Part("inverse-fem", problem, (measured,))]
-    found = staged_fit(parts, start, StagedSearch(names, fit_task.fitted_model))
+    found = staged_fit(parts, start, StagedSearch(names))
     assert found.fit.converged
     assert found.fit.values == pytest.approx(list(true.values()), abs=1e-6 * true["C10"])
     assert found.evaluations <= 10
@@ -224,7 +224,7 @@ def test_specimens_of_nearly_one_ratio_share_what_they_begin_with(monkeypatch):
     def calibrated(number):
         parts = [Part("inverse-fem", problem, (measured[number],))]
         start = np.array([1.3 * specimens[number][0], 0.0])
-        return staged_fit(parts, start, StagedSearch(names, fit_task.fitted_model)).fit
+        return staged_fit(parts, start, StagedSearch(names)).fit
 
     alone = []
     for number in range(2):

@@ -1,17 +1,84 @@
-"""`calibration.leave_out`: constants from everything but what is scored."""
+"""A study is expanded without side effects; constants from everything but what is scored."""
 
+from __future__ import annotations
+
+import numpy as np
 import pytest
 
+from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.harness.design import load
-from study.harness.runner.expansion import expand
-from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import fit_problem, together
+from study.harness.design.load import loads
+from study.harness.runner.batch import expand
+from study.simulation import case, response
+from study.simulation.cell import Case, Cell, CellProblem
 from study.simulation.fit_task import fitted
-from study.simulation.job import FitJob
+from study.simulation.job import CaseJob, FitJob, FitResult, ScorePair, fit_problem, together
 from study.simulation.tasks import Costs
 from tests.cli.small import measured, pressed, responses
 from tests.runner.test_calibrate import write as write_tests
+
+from .conftest import DESIGN
+
+PROBLEM = CellProblem.of({
+    "specimen": {"shape": "cylinder", "radius_mm": 5.0, "height_mm": 5.0},
+    "test": {"kind": "compression", "steps": 2},
+    "material": {"model": "neo-hookean", "poisson_ratio": 0.49},
+})  # fmt: skip
+
+
+def test_a_mesh_is_changed_in_the_problem_of_the_calibration_too():
+    cell = Cell(PROBLEM, "auto", fitted_elsewhere=PROBLEM.loaded(steps=7))
+    found = cell.on_mesh(mesh_size_mm=2.0)
+    both = found.problem.model, found.fitted_elsewhere.model
+    assert [model.mesh_size_mm for model in both] == [2.0, 2.0]
+    assert found.fitted_elsewhere.test.steps == 7
+    assert cell.problem.model.mesh_size_mm is None
+
+
+def test_where_a_prediction_comes_from_is_said_once(one_mix):
+    for method, expected in (
+        ("auto", {"frictionless": "simulation", "bonded": "fit"}),
+        ("inverse-fem", {"frictionless": "fit", "bonded": "fit"}),
+    ):
+        text = f'{DESIGN}\n[calibration]\nmethod = "{method}"\n'
+        jobs = expand(loads(text, "small.toml"), one_mix).jobs
+        assert {j.case.levels["plates"]: j.forward for j in jobs} == expected
+
+
+@pytest.mark.parametrize(("depth", "stable"), [(3.0, True), (7.0, False)])
+def test_a_record_judges_its_fit_over_the_simulated_test(depth, stable):
+    gauge = CellProblem.of({
+        "specimen": {"shape": "homogeneous", "area_mm2": 20.0, "height_mm": 10.0},
+        "test": {"kind": "compression"},
+        "material": {"model": "reduced-polynomial", "order": 2, "incompressible": True},
+    })  # fmt: skip
+    cell = Cell(gauge, "auto")
+    # its data end at a third of the height
+    pair = ScorePair("all", None, FitJob(fit_problem(cell), (), key="fit"), pressed_mm=depth)
+    fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
+    job = CaseJob(Case({}, cell, None, "case"), (pair,), "hash")
+    task = job.sent({pair.fit_key: FitResult("converged", fit)})
+    judged = case._fits(task)["all"]
+    assert judged["stable"] is stable
+    sentence = "over its data: stable to 0.7; in the simulated test: unstable (Drucker)"
+    assert judged["stability"].startswith("stable to 0.7" if stable else sentence)
+
+
+D = np.linspace(0.0, 2.0, 201)
+MEASURED = Curve(D, 10 * D)
+
+
+@pytest.mark.parametrize("factor", [1.1, 0.9])
+def test_a_curve_ten_percent_off_is_ten_percent_off_in_every_measure(factor):
+    predicted = Curve(D, factor * MEASURED.force_N)
+    found = response.score(predicted, MEASURED)
+    assert found["relative_rms_force_error"] == {"value": pytest.approx(10.0), "unit": "%"}
+    assert found["work_error"] == {"value": pytest.approx(10.0), "unit": "%"}
+    assert found["peak_force_error"] == {"value": pytest.approx(2.0), "unit": "N"}
+    # RMS of d on [0, 2] is 2/sqrt(3), up to the grid's 1e-4
+    assert found["rms_force_error"]["value"] == pytest.approx(2 / np.sqrt(3), rel=5e-3)
+
 
 BLOCK = 'block = "s"\n'
 SPECIMEN = 'leave_out = "specimen"'
@@ -113,11 +180,12 @@ def test_a_fit_to_several_tests_costs_what_its_tests_do():
     slipping = problems[0].loaded(interface="frictionless", base="frictionless")
     both = together(cells[0], [*problems, slipping])
     assert [one.method for one in both.tests] == ["inverse-fem", "inverse-fem", "closed-form"]
-    alone, costs = [fit_problem(cell) for cell in cells], Costs()
-    apart = [costs.fit_seconds(one) for one in alone]
-    assert costs.fit_seconds(both) == pytest.approx(sum(apart), rel=0.1)
-    assert costs.fit_seconds(both) > 1.5 * max(apart)
-    assert costs.fit_memory_MB(both) == max(costs.fit_memory_MB(one) for one in alone) > 0
+    whole, *alone = (FitJob(one, ()) for one in (both, *map(fit_problem, cells)))
+    costs = Costs()
+    apart = [costs.seconds(one) for one in alone]
+    assert costs.seconds(whole) == pytest.approx(sum(apart), rel=0.1)
+    assert costs.seconds(whole) > 1.5 * max(apart)
+    assert costs.MB(whole) == max(costs.MB(one) for one in alone) > 0
 
 
 @pytest.mark.parametrize(("leave_out", "block"), [(SPECIMEN, ""), (SPECIMEN, BLOCK), (TEST, "")])

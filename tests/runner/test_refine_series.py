@@ -16,7 +16,7 @@ from study.harness.design.load import loads, loads_problem
 from study.mechanics.forward.formal_order import clamped_corner, formal_order
 from study.record.store import Store
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import located
+from study.simulation.job import located
 from study.simulation.refinement import Budget, within
 from study.simulation.solve_task import SolveResult, SolveTask, kept, solved
 from study.statistics.convergence.grid_convergence import grid_convergence

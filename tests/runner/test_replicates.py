@@ -9,8 +9,7 @@ import pytest
 from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.harness.design.load import loads
-from study.harness.runner.batch import run_batch
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand, run_batch
 from study.harness.runner.study_refinement import refinement_work
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
@@ -18,8 +17,7 @@ from study.record.record import table
 from study.record.store import Store
 from study.simulation import fit_task
 from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import FitResult, fit_problem
-from study.simulation.job import FitJob
+from study.simulation.job import FitJob, FitResult, fit_problem
 from study.simulation.tasks import Costs
 
 from .conftest import DESIGN, SPECIMEN, compressed, fake, make_data
@@ -125,7 +123,7 @@ def test_the_refined_mesh_keeps_its_seed_and_one_cell_of_a_kind_is_refined(one_m
 
 
 def test_too_many_replicates_are_refused(one_mix, monkeypatch):
-    monkeypatch.setattr("study.harness.runner.expansion.MAX_CASES", 50)
+    monkeypatch.setattr("study.harness.runner.batch.MAX_CASES", 50)
     with pytest.raises(InputError, match="84 cases with their replicates are more than 50"):
         expand(loads(DESIGN + NOISE), one_mix)
 

@@ -8,8 +8,7 @@ import pytest
 from study import api
 from study.execution.local import Inline, Loky, stopped_late
 from study.harness.design.load import loads
-from study.harness.runner.batch import computed, run_batch
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import computed, expand, run_batch
 from study.harness.runner.study_refinement import refine_cases, study_series
 from study.record.store import Store
 from tests.pages import both_pages

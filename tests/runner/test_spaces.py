@@ -9,8 +9,7 @@ from study.api.assemble import checks_of_spaces
 from study.api.planning import plan
 from study.ground.curve import Curve
 from study.harness.design.load import loads
-from study.harness.runner.batch import Progress
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import Progress, expand
 from study.harness.runner.study_refinement import (
     compare_spaces,
     compared_spaces,

@@ -7,13 +7,13 @@ import pytest
 
 from study.ground.curve import Curve
 from study.harness.design.load import load
-from study.harness.runner import expansion
+from study.harness.runner.batch import expand
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.simulation import fit_task
 from study.simulation.cell import CellProblem
-from study.simulation.staged_fit import Checkpoint, StagedSearch, gentler, staged_fit
-from study.simulation.staged_fit import FitPart as Part
+from study.simulation.fit_task import Checkpoint, StagedSearch, gentler, staged_fit
+from study.simulation.fit_task import FitPart as Part
 
 DESIGN = Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml"
 NAMES = ("C10", "C20", "C30")
@@ -68,7 +68,7 @@ def fitted(problem, start, limit=-0.3, **options):
             raise EvaluationFailed("no forces of a solid of one constant")
         return Softening(limit)
 
-    return staged_fit(parts, start, StagedSearch(NAMES, make, **options))
+    return staged_fit(parts, start, StagedSearch(NAMES, make=make, **options))
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir):
     """
     if not (data_dir / "ecoflex_compression").is_dir():
         pytest.skip("the Ecoflex measurements are not in the data folder (set STUDY_DATA)")
-    work = expansion.expand(load(DESIGN), data_dir)
+    work = expand(load(DESIGN), data_dir)
     solid, round_ = (_third_order_fit(work, space) for space in ("3d", "axisymmetric"))
     assert solid.status == "converged", solid.message
     # the equivalent axisymmetric fit of the same curve: C10 to 0.1 %, and the same fit of it

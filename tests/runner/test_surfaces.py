@@ -8,13 +8,13 @@ import pytest
 from study import api
 from study.ground.errors import InputError
 from study.harness.design.load import load, load_problem
-from study.harness.runner.expansion import expand
+from study.harness.runner.batch import expand
 from study.harness.runner.study_refinement import chosen_series, refinement_work
 from study.record.record import Record
 from study.simulation.calibration import model_comparison
-from study.simulation.fit_problem import find, fit_problem, folders
-from study.simulation.staged_fit import FitPart as Part
-from study.simulation.staged_fit import cheaper
+from study.simulation.fit_task import FitPart as Part
+from study.simulation.fit_task import cheaper
+from study.simulation.job import find, fit_problem, folders
 from tests.cli.small import case_file, measured, recorded, responses
 from tests.fem.surfaces import box, write
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from study.ground.declaration import Length, section
-from study.ground.diagnostics import Faults, read_table
+from study.ground.declaration import Faults, Length, read_table, section
 from study.ground.errors import InputError
 from study.laboratory.sensors.force_model import force_model
 from study.mechanics.setup.geometry import Flat

@@ -15,16 +15,19 @@ from study.ground.arrays import Array
 from study.ground.declaration import (
     AsWritten,
     Bad,
+    Faults,
     Reads,
     Rows,
     as_written,
     choice,
+    flatten,
     integer,
     name,
+    noted,
+    read_table,
     section,
     shown,
 )
-from study.ground.diagnostics import Faults, flatten, noted, read_table
 from study.ground.errors import nearest
 from study.harness.design import generators
 from study.harness.design.generators import Word, d_optimal, efficiency
@@ -37,6 +40,7 @@ from study.harness.design.spec import (
     known_level,
     levels_at,
     setting_in,
+    words_of,
 )
 
 #: factors with the levels that a design needs, and which combinations of them are run
@@ -664,26 +668,6 @@ class DOptimal:
             rule = f"{self.runs} cells, of which there are {every}"
             request.fault("runs", rule, 'at most as many, or kind = "full"')
         return len(request.faults) == before
-
-
-def words_of(names: Sequence[str], value: object) -> tuple[Word, ...]:
-    """Read an order of interaction or a list of terms as the numbers of their factors."""
-    if isinstance(value, list) and value:
-        return tuple(dict.fromkeys(word_of(names, term) for term in value))
-    highest = integer(1, len(names))(value)
-    orders = range(1, highest + 1)
-    return tuple(w for order in orders for w in itertools.combinations(range(len(names)), order))
-
-
-def word_of(names: Sequence[str], term: object) -> Word:
-    """Read a term such as ``"A:B"`` as the numbers of its factors."""
-    parts = [part.strip() for part in term.split(":")] if isinstance(term, str) else [term]
-    for part in parts:
-        if part not in names:
-            raise Bad(f"no factor {shown(part)}", nearest(str(part)[:80], names))
-    if len(set(parts)) < len(parts):
-        raise Bad(f"a factor stands twice in {shown(term)}")
-    return tuple(k for k, name in enumerate(names) if name in parts)
 
 
 # Kind ``adaptive`` of ``[design]``: a Latin hypercube, and cells that are added while it runs.

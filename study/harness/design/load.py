@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from study.external.forward_model import ValueFile, check_names, checked, overridden, stands_alone
-from study.ground import diagnostics
+from study.ground import declaration
 from study.ground.contrast import sides_of
-from study.ground.declaration import table_of
-from study.ground.diagnostics import (
+from study.ground.declaration import (
     Faults,
     Table,
     Tables,
@@ -28,41 +27,45 @@ from study.ground.diagnostics import (
     noted,
     quoted_path,
     read_table,
+    table_of,
 )
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design.layouts import scheme_from
-from study.harness.design.questions import (
-    analysis_from,
-    expected_from,
-    responses_from,
-    uncertainty_from,
-)
 from study.harness.design.spec import (
     RESPONSES_MEND,
     Design,
     DesignFile,
     Level,
     Presets,
+    analysis_from,
     exclusions_from,
+    expected_from,
     factors_from,
     grouped,
     presets_from,
+    responses_from,
     set_whole,
+    uncertainty_from,
 )
-from study.record.document import ManifestDocument
+from study.record.record import ManifestDocument
 from study.record.store import Store
-from study.simulation import overlay, plausibility
-from study.simulation.cell import Cell, CellProblem
-from study.simulation.fit_problem import data_root, folders, located
-from study.simulation.problem_file import (
+from study.simulation import plausibility
+from study.simulation.calibration.calibration_file import (
     CalibrationDesign,
     CalibrationFile,
+    resolve_calibration,
+)
+from study.simulation.cell import Cell, CellProblem
+from study.simulation.job import data_root, folders, located
+from study.simulation.problem_file import (
+    TABLES,
     LoadedProblem,
     ProblemFile,
     default_name,
     identification_from,
-    resolve_calibration,
+    lay,
     resolve_problem,
+    with_units,
 )
 from study.simulation.response import MARKED, RESPONSES, SCORED, is_simulated, simulated_at
 
@@ -279,22 +282,22 @@ _SIMULATED = frozenset({"schema", "study", "specimen", "test", "material", "mode
 
 def from_tables(tables: Mapping[str, object]) -> str:
     """Text of a file that holds some tables: its own keys, texts with units or bare numbers."""
-    return diagnostics.dump_toml({"schema": 1, **overlay.with_units(tables)})
+    return declaration.dump_toml({"schema": 1, **with_units(tables)})
 
 
 def dump(design: Design) -> str:
     """Canonical TOML of a design, overrides included; :func:`loads` reads the same from it."""
-    return diagnostics.dump_toml(design.config)
+    return declaration.dump_toml(design.config)
 
 
 def problem_of(tables: Table, source: str, overrides: Sequence[str] = ()) -> CellProblem:
     """Problem of the tables of a file."""
-    return loads_problem(diagnostics.dump_toml(tables), source, overrides).problem
+    return loads_problem(declaration.dump_toml(tables), source, overrides).problem
 
 
 def file_kind(path: str | Path) -> str:
     """Kind of a file: ``"design"``, ``"calibration"``, ``"problem"``, or that of another verb."""
-    return _kind(diagnostics.parse_toml(diagnostics.read_text(path), str(path)))
+    return _kind(declaration.parse_toml(declaration.read_text(path), str(path)))
 
 
 def _kind(tables: Table) -> str:
@@ -319,9 +322,9 @@ def _shape(tables: Table) -> str:
 
 def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
     """Tables of a text with dotted keys joined and the overrides laid over."""
-    tables, faults = _joined(diagnostics.parse_toml(text, source), source), Faults()
+    tables, faults = _joined(declaration.parse_toml(text, source), source), Faults()
     for override in overrides:
-        path, value = diagnostics.parse_override(override)
+        path, value = declaration.parse_override(override)
         if path[0] in ("factors", "uncertainty"):
             path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
         _check_override(tables, path)
@@ -331,10 +334,10 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
             value = noted(read, value, f"-s parameters.{path[1]}", faults)
         if path[0] in ("factors", "uncertainty") and len(path) > 1 and isinstance(current, dict):
             tables[path[0]] = set_whole(current, path[1], value)
-        elif path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
-            tables = overlay.lay(tables, {".".join(path): value})
+        elif path[0] in TABLES and len(path) > 1 and not any("." in part for part in path):
+            tables = lay(tables, {".".join(path): value})
         else:
-            diagnostics.set_value(tables, path, value)
+            declaration.set_value(tables, path, value)
     if faults:
         raise InputError(list(faults))
     return _joined(tables, source)
@@ -346,11 +349,11 @@ def _joined(tables: Tables, source: str) -> Tables:
         for key in ("factors", "uncertainty"):
             table = tables.get(key)
             if isinstance(table, dict):
-                tables[key] = diagnostics.flatten(table)
+                tables[key] = declaration.flatten(table)
         excluded = tables.get("exclude")
         for row in excluded if isinstance(excluded, list) else ():
             if isinstance(row, dict) and isinstance(row.get("when"), dict):
-                row["when"] = diagnostics.flatten(row["when"])
+                row["when"] = declaration.flatten(row["when"])
     except InputError as error:
         fault = error.faults[0]
         raise InputError(Fault(f"{source}: {fault.where}", fault.rule, fault.mend)) from error
@@ -507,14 +510,14 @@ class FileKind(Generic[File, Loaded]):
 
     def load(self, path: str | Path, overrides: Sequence[str] = ()) -> Loaded:
         """Load a file; an override is ``"key=value"``."""
-        text = diagnostics.read_text(path, f"a {self.name}")
+        text = declaration.read_text(path, f"a {self.name}")
         return self.loads(text, str(path), overrides)
 
     def loads(
         self, raw: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
     ) -> Loaded:
         """Load a text, or the bytes of a file; see :meth:`load`."""
-        text = diagnostics.decode(raw, source) if isinstance(raw, bytes) else raw
+        text = declaration.decode(raw, source) if isinstance(raw, bytes) else raw
         tables = _tables(text, source, overrides)
         actual, faults = _kind(tables), Faults()
         # of a design that is begun all faults are listed; a whole problem is none

@@ -10,13 +10,11 @@ from pathlib import Path
 
 from study.ground.arrays import gathered
 from study.ground.canonical import Keyed
-from study.ground.declaration import Bad, table_of
-from study.ground.diagnostics import Faults
+from study.ground.declaration import Bad, Faults, table_of
 from study.ground.errors import Fault, InputError
 from study.harness.design.generators import d_optimal, efficiency
-from study.harness.design.layouts import words_of
 from study.harness.design.load import load_design
-from study.harness.design.spec import Design, Factor
+from study.harness.design.spec import Design, Factor, words_of
 from study.simulation.cell import Cell, Combination, Treatment
 from study.simulation.plausibility import cautions_of
 

@@ -13,15 +13,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from study.ground.arrays import Array
-from study.ground.atomic_files import ID
 from study.ground.canonical import digest
 from study.ground.declaration import table_of
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
+from study.ground.files import ID
 from study.harness.design.layouts import share_of
 from study.harness.design.load import dump, loads
 from study.harness.design.spec import Design, ResponseSpec, Sequential, levels_at
-from study.harness.runner.batch import Progress, run_batch
-from study.harness.runner.expansion import Work, expand, relabeled
+from study.harness.runner.batch import Progress, Work, expand, relabeled, run_batch
 from study.harness.runner.record_analysis import (
     at_levels,
     coded_settings,
@@ -30,10 +29,9 @@ from study.harness.runner.record_analysis import (
     runs_of_records,
 )
 from study.harness.runner.study_refinement import COSTS
-from study.record.document import AdaptiveStep, ConfirmedRow, are_imported
-from study.record.record import Record, is_same_run
+from study.record.record import AdaptiveStep, ConfirmedRow, Record, are_imported, is_same_run
 from study.record.store import Store
-from study.simulation.fit_problem import Allowed
+from study.simulation.job import Allowed
 from study.simulation.provenance import code_version
 from study.simulation.tasks import processes
 from study.statistics.surfaces.emulator import (
@@ -45,9 +43,9 @@ from study.statistics.surfaces.emulator import (
     fit_own,
     next_run,
 )
+from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_fitting import difference_of, models_at
 from study.statistics.surfaces.surface_optimum import Model
-from study.statistics.surfaces.surface_result import analysis_of
 
 
 def continued(design: Design, store: Store) -> Design:
@@ -178,9 +176,10 @@ def _is_known(model: Model, practical: float | None, rule: Sequential) -> bool:
     """Whether a response is known as well as the design asks for."""
     if rule.until == "q2" or practical is None:
         return bool(model.q2 >= rule.q2)
-    sensitivity = analysis_of(model, practical).sensitivity
-    verdicts = [None if item.range is None else item.range.verdict for item in sensitivity]
-    return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
+    if not isinstance(model, QuadraticSurface) and model.gate != "given":
+        return False
+    ranges = model.ranges(practical) or ()
+    return bool(ranges) and all(reach.verdict != "cannot tell" for reach in ranges)
 
 
 def _chosen(

@@ -11,20 +11,18 @@ from pathlib import Path
 
 from study.external.forward_model import TAKEN, is_parameter
 from study.ground.arrays import gathered
-from study.ground.atomic_files import own_folder
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.files import own_folder
 from study.ground.tabular import TYPED_COMMA, CsvTable, label_fault, read_csv
 from study.ground.units import agree, is_known, listed, unit_of_column
 from study.harness.design.load import dump, from_tables, loads
 from study.harness.design.spec import Design, cases, level_label
-from study.harness.runner.expansion import seeded
-from study.record.document import MADE_ELSEWHERE, ManifestDocument, are_imported
-from study.record.record import STATUSES, Record
+from study.harness.runner.batch import seeded
+from study.record.record import MADE_ELSEWHERE, STATUSES, ManifestDocument, Record, are_imported
 from study.record.store import Store
 from study.simulation.cell import Case
-from study.simulation.overlay import TABLES
-from study.simulation.problem_file import default_name
+from study.simulation.problem_file import TABLES, default_name
 from study.simulation.provenance import versions
 from study.statistics.surfaces.surface_factors import NumericFactor
 from study.statistics.surfaces.surface_fitting import settings_run

@@ -23,10 +23,17 @@ from study.ground.tabular import names_of
 from study.ground.units import parse_number
 from study.harness.design.load import is_constant
 from study.harness.design.overview import SAMPLED
-from study.harness.design.questions import usual_value
-from study.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.record.record import Record, answered_often, is_repeat, is_same_run, table
-from study.simulation import overlay
+from study.harness.design.spec import usual_value
+from study.record.record import (
+    NumericalCells,
+    NumericalRow,
+    Record,
+    answered_often,
+    fault_of_series,
+    is_repeat,
+    is_same_run,
+    table,
+)
 from study.simulation.response import CURVE_RESPONSES
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
@@ -472,7 +479,7 @@ def _finished(
     uncertain = None
     if design.inputs:
         fixed = {
-            n: usual_value(n, overlay.dimension(n) or "number", span, design.config)
+            n: usual_value(n, span, design.config)
             for n, span in design.ranges.items()
             if n not in design.inputs
         }

@@ -23,26 +23,21 @@ from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.declaration import table_of, with_table
 from study.ground.errors import Fault, InputError, StoreError
-from study.harness.runner.batch import Progress, computed, has_other_mesh, run_batch
-from study.harness.runner.expansion import Work, case_job
-from study.record.document import SpaceRow
-from study.record.record import Record
+from study.harness.runner.batch import Progress, Work, case_job, computed, has_other_mesh, run_batch
+from study.record.record import Record, SpaceRow
 from study.record.store import Store
 from study.simulation.cell import Case, Cell, Config, case_id
-from study.simulation.job import CaseJob, Origin, fits_of, varied
+from study.simulation.job import CaseJob, FormalOrder, Origin, fits_of, varied
 from study.simulation.problem_file import Converge
 from study.simulation.refinement import (
     FEWEST,
     OTHER_MESH,
     QUANTITIES,
-    FormalOrder,
     SeriesJudgement,
     Values,
-    base_size_mm,
     given_mesh,
     inconclusive,
     judged,
-    promised,
     series_sizes,
 )
 from study.simulation.solve_task import SolveResult, SolveTask, by_workers, kept
@@ -103,7 +98,7 @@ class CaseSeries:
     @property
     def formal(self) -> FormalOrder:
         """Order that the elements of the study's mesh promise, or a stranger's solver."""
-        return promised(self.base if self.study_mesh == "coarsest" else self.jobs[-1])
+        return (self.base if self.study_mesh == "coarsest" else self.jobs[-1]).promised
 
     @property
     def good(self) -> list[tuple[CaseJob, Record]]:
@@ -120,9 +115,9 @@ class CaseSeries:
         """Mesh sizes of some records by the elements of their meshes, the first as asked for."""
         job_of = {job.case.case_id: job for job in self.jobs}
         if self.base.case.problem.refinement is not None:
-            return tuple(size_of(job_of[record.case_id]) for record in records)
+            return tuple(job_of[record.case_id].size for record in records)
         # another program does not say what its mesh is: it was asked for this one
-        sizes = [float(r.mesh.get("mesh_size_mm") or base_size_mm(job_of[r.case_id]))
+        sizes = [float(r.mesh.get("mesh_size_mm") or job_of[r.case_id].mesh_size_mm)
                  for r in records]  # fmt: skip
         elements = [int(record.mesh.get("elements", 0)) for record in records]
         return tuple(series_sizes(sizes, elements, self.base.case.tested.setup, anchor=0))
@@ -187,7 +182,7 @@ class CaseSeries:
         """Which meshes an uncertainty rests on."""
         refinement = self.base.case.problem.refinement
         if refinement is not None:
-            sizes = [f"{size_of(job):.4g}" for job, _ in self.good]
+            sizes = [f"{job.size:.4g}" for job, _ in self.good]
             of = self.base.case.label if self.study_mesh == "coarsest" else "the study's own cells"
             return f"{of}; {refinement.name} = {sizes[0]} to {sizes[-1]} in {meshes} steps"
         ends = (self.good[0][1], self.good[-1][1])
@@ -231,7 +226,7 @@ class CaseSeries:
             judgement = SeriesJudgement(main, {}, formal.why, levels=base.levels, block=base.block)
             return judgement.warned(*warnings)
         elements = [int(record.mesh.get("elements", 0)) for record in records]
-        sizes = [size_of(job) for job, _ in self.good]
+        sizes = [job.size for job, _ in self.good]
         if base.problem.refinement is None:
             sizes = series_sizes(sizes, elements, base.tested.setup)
         results = judged(sizes, values, formal.order, TOLERANCE)
@@ -250,7 +245,7 @@ class CaseSeries:
             if record is not None and record.converged:
                 why = "only a finer one did, on a second try"
             unit = "mm" if refinement is None else f"({refinement.name})"
-            yield f"the mesh of {size_of(job):.4g} {unit} gave no answer: {why}"
+            yield f"the mesh of {job.size:.4g} {unit} gave no answer: {why}"
 
 
 def refine_cases(series: Sequence[CaseSeries], compute: Compute) -> None:
@@ -259,12 +254,6 @@ def refine_cases(series: Sequence[CaseSeries], compute: Compute) -> None:
     records = compute([job for _, job in due]) if due else ()
     for (member, job), record in zip(due, records, strict=True):
         member.records[job.case.case_id] = record
-
-
-def size_of(job: CaseJob) -> float:
-    """Size of the mesh of a case in mm, or the value of the parameter that refines it."""
-    refinement = job.case.problem.refinement
-    return base_size_mm(job) if refinement is None else refinement.size(job.case.problem)
 
 
 def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:
@@ -415,7 +404,7 @@ def refinement_work(work: Work) -> Work:
 
 def refined_series(work: Work, base: CaseJob, times: int) -> CaseSeries:
     """Series of a cell on its own mesh and some finer ones."""
-    size, ratio = size_of(base), work.design.converge.ratio
+    size, ratio = base.size, work.design.converge.ratio
     finer = [
         _beside(work, base, refined(base.case, size / ratio**level), level)
         for level in range(1, times + 1)
@@ -434,7 +423,7 @@ def own_series(work: Work) -> list[CaseSeries]:
     columns = gathered((_column(job), job) for job in meshed_cells(work))
     if any(len(jobs) < FEWEST for jobs in columns.values()):
         return []
-    ordered = (sorted(jobs, key=lambda job: -size_of(job)) for jobs in columns.values())
+    ordered = (sorted(jobs, key=lambda job: -job.size) for jobs in columns.values())
     return [_series(work, tuple(jobs), "finest") for jobs in ordered]
 
 
@@ -489,7 +478,7 @@ def _refined_seconds(work: Work, job: CaseJob, costs: Costs) -> float:
     """Seconds of a case on the second finer mesh; of a stranger's solver those it says."""
     if job.case.problem.refinement is not None:
         return costs.case_seconds(job)
-    finer = refined(job.case, size_of(job) / work.design.converge.ratio**2)
+    finer = refined(job.case, job.size / work.design.converge.ratio**2)
     return costs.solve_seconds(finer.tested)
 
 
@@ -686,14 +675,14 @@ def _chosen(cells: Sequence[CaseJob]) -> Iterator[tuple[dict[str, str], tuple[Ca
 
 def _preference(job: CaseJob) -> tuple[int, str, float]:
     material = job.case.tested.material
-    return len(material.calibrated_names), material.model, base_size_mm(job)
+    return len(material.calibrated_names), material.model, job.mesh_size_mm
 
 
 def _task(job: CaseJob, constants: Mapping[str, float]) -> SolveTask:
     problem = job.case.tested.as_cylinder()
     changed = replace(problem, material=replace(problem.material, constants=dict(constants)))
     depth = job.depth_mm if problem.depth_mm is None else problem.depth_mm
-    return SolveTask.of(changed.loaded(displacement_mm=depth), base_size_mm(job))
+    return SolveTask.of(changed.loaded(displacement_mm=depth), job.mesh_size_mm)
 
 
 def _constants(record: Record | None) -> dict[str, float]:

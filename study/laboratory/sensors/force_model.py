@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from study.ground import diagnostics, units
+from study.ground import declaration, units
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.ground.declaration import Bad, Reads, integer, measured, number, section, shown
-from study.ground.diagnostics import Faults, Table, read_table
+from study.ground.declaration import Bad, Faults, Reads, integer, measured, number, section, shown
 from study.ground.errors import Fault, InputError
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.forward import finite_element
@@ -283,26 +282,26 @@ def load_requirement(
     """Load a file for ``study require``."""
     source = str(path)
     needed = "sensor requirements (TOML: a problem with [requirement])"
-    tables = diagnostics.parse_toml(diagnostics.read_text(path, needed), source)
+    tables = declaration.parse_toml(declaration.read_text(path, needed), source)
     rest = []
     for override in overrides:
-        keys, value = diagnostics.parse_override(override)
+        keys, value = declaration.parse_override(override)
         if keys[0] in (*OWN, "study"):
-            diagnostics.set_value(tables, keys, value)
+            declaration.set_value(tables, keys, value)
         else:
             rest.append(override)
     faults = Faults()
     sections = {name: tables.pop(name, {}) for name in OWN}
-    position = read_table(PositionAccuracy, sections["position"], "position", faults)
-    force = read_table(ForceAccuracy, sections["force"], "force", faults)
-    sensors = read_table(Requirement, sections["requirement"], "requirement", faults)
+    position = declaration.read_table(PositionAccuracy, sections["position"], "position", faults)
+    force = declaration.read_table(ForceAccuracy, sections["force"], "force", faults)
+    sensors = declaration.read_table(Requirement, sections["requirement"], "requirement", faults)
     errors = [*asdict(position).values(), *asdict(force).values()]
     if not faults and not any(errors):
         mend = 'give one, for example [position] noise = "0.1 mm"'
         faults.add("position, force", "neither sensor has an error: nothing to propagate", mend)
     renamed = [Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults]
 
-    def problem_of(tables: Table, overrides: Sequence[str]) -> CellProblem | None:
+    def problem_of(tables: declaration.Table, overrides: Sequence[str]) -> CellProblem | None:
         """Resolve a problem; None, and its faults, where it has any."""
         try:
             return reads_problem(tables, source, overrides)
@@ -323,7 +322,7 @@ def load_requirement(
         renamed.append(Fault(f"{source}: predict", "must be a table", "write [predict.test]"))
     if renamed or fitted is None or predicted is None:
         raise InputError(dict.fromkeys(renamed))
-    study = read_table(StudyTable, tables.get("study", {}), "study", Faults())
+    study = declaration.read_table(StudyTable, tables.get("study", {}), "study", Faults())
     name = study.name or default_name(source)
     return RequirementFile(
         name, study.question, study.seed, fitted, predicted, position, force, sensors
@@ -331,7 +330,7 @@ def load_requirement(
 
 
 def _check_replaced(
-    table: Table, source: str, overrides: Sequence[str], faults: list[Fault]
+    table: declaration.Table, source: str, overrides: Sequence[str], faults: list[Fault]
 ) -> list[str]:
     """Check what ``[predict]`` replaces whole; overrides of the tables that stay."""
     for key in table:

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array, Ints
-from study.ground.bounded_file import Unpacker, open_regular
 from study.ground.errors import Fault, InputError
+from study.ground.files import Unpacker, open_regular
 from study.ground.units import unit_factor
 from study.laboratory.registration.iterative_closest_point import TriangleSurface
 from study.mechanics.mesh.structured import KINDS as CELLS

@@ -11,25 +11,26 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 
-from study.ground import diagnostics
+from study.ground import declaration
 from study.ground.arrays import Array, Ints
-from study.ground.atomic_files import write_atomic
 from study.ground.declaration import (
     Bad,
+    Faults,
     Length,
     LengthOrZero,
     Reads,
     Schema,
     choice,
     number,
+    read_table,
     section,
     shown,
     text,
     unit_of_length,
 )
 from study.ground.declaration import name as label
-from study.ground.diagnostics import Faults, read_table
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.files import write_atomic
 from study.ground.tabular import MISSING, CsvTable, csv_text, read_csv
 from study.ground.units import unit_factor
 from study.laboratory.registration.rigid import check_places
@@ -156,7 +157,7 @@ def load_tracking(path: str | Path) -> TrackingFile:
     """Read a file of ``study tracking``."""
     source = str(path)
     needed = "a tracker study (TOML, which names the table in [recording])"
-    tables = diagnostics.parse_toml(diagnostics.read_text(path, needed), source)
+    tables = declaration.parse_toml(declaration.read_text(path, needed), source)
     faults = Faults()
     file = read_table(TrackingFile, tables, "", faults)
     if not faults:
@@ -167,7 +168,7 @@ def load_tracking(path: str | Path) -> TrackingFile:
 
 def is_tracking(path: str | Path) -> bool:
     """Whether a file is one of ``study tracking``: it has a table ``[recording]``."""
-    return "recording" in diagnostics.parse_toml(diagnostics.read_text(path), str(path))
+    return "recording" in declaration.parse_toml(declaration.read_text(path), str(path))
 
 
 def _across(tracking_file: TrackingFile) -> Sequence[Fault]:

@@ -15,17 +15,10 @@ from typing import TypedDict
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.bounded_file import (
-    is_workbook,
-    read_bytes,
-    sheets_of,
-    table_text,
-    unzipped,
-)
 from study.ground.canonical import plain
-from study.ground.declaration import keys_of
-from study.ground.diagnostics import toml_value
+from study.ground.declaration import keys_of, toml_value
 from study.ground.errors import Fault, InputError
+from study.ground.files import is_workbook, read_bytes, sheets_of, table_text, unzipped
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
 from study.ground.units import INTERNAL, unit_factor
 from study.mechanics.measurement.conditioning import OFFSET_SHARE, slack_end, slope_with_error

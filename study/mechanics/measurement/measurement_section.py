@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Literal
 
 from study.ground import units
-from study.ground.bounded_file import ENCODINGS
 from study.ground.declaration import (
     Bad,
     Field,
@@ -28,6 +27,7 @@ from study.ground.declaration import (
     word,
 )
 from study.ground.errors import Fault, InputError, UnitError
+from study.ground.files import ENCODINGS
 
 #: what may part the cells of a file, by its name in a study file; found out where it is not said
 DELIMITERS: Mapping[str, str | None] = {

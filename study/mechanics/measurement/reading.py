@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.diagnostics import Faults
+from study.ground.declaration import Faults
 from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.conditioning import (
     MIN_ROWS,

@@ -14,17 +14,12 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from study.ground.arrays import Array, gathered
-from study.ground.bounded_file import read_bytes, table_text
-from study.ground.declaration import Bad, relative_path
-from study.ground.diagnostics import Faults
+from study.ground.declaration import Bad, Faults, relative_path
 from study.ground.errors import Fault, InputError, MissingDataError
+from study.ground.files import read_bytes, table_text
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, parse_csv
 from study.ground.units import parse
-from study.mechanics.measurement.measurement_section import (
-    SECOND,
-    Columns,
-    MeasurementSpec,
-)
+from study.mechanics.measurement.measurement_section import SECOND, Columns, MeasurementSpec
 from study.mechanics.measurement.written_units import (
     DIMENSIONS,
     contradicts,

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from study.ground.arrays import Array, Ints
-from study.ground.bounded_file import read_existing
 from study.ground.compilation import vectors_alone
 from study.ground.errors import Fault, InputError, MeshError
+from study.ground.files import read_existing
 from study.mechanics.contact.contact import BESIDES, face_motions
 from study.mechanics.element.function_space import (
     _SAME,

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from study.ground.arrays import Array, Flags, Ints
-from study.ground.bounded_file import UnreadableError, open_regular
 from study.ground.compilation import kernel, part
 from study.ground.errors import Fault, InputError, UnitError
+from study.ground.files import UnreadableError, open_regular
 from study.ground.units import parse
 from study.mechanics.setup.geometry import Brain, Enclosed, Specimen, Surface
 from study.mechanics.surface.brain import brain_surface

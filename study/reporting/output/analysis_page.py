@@ -17,8 +17,8 @@ from pathlib import Path
 import pandas as pd
 
 from study import __version__ as package_version
-from study.ground.bounded_file import sha256_of
 from study.ground.errors import Fault, InputError
+from study.ground.files import sha256_of
 from study.ground.units import is_known, unit_of_column
 from study.reporting.content import analysis_content, methods, tables
 from study.reporting.content.blocks import (

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Self
 
 from markupsafe import Markup, escape
 
-from study.ground.atomic_files import own_folder, write_atomic, write_error
 from study.ground.canonical import Dataclass
+from study.ground.files import own_folder, write_atomic, write_error
 from study.reporting.content import methods
 from study.reporting.content.blocks import Block, Figure, Heading, Sentence, Table, flat
 from study.reporting.content.effect_words import VERDICTS

@@ -28,17 +28,17 @@ from threadpoolctl import threadpool_info
 
 import study
 from study.execution.local import Worker, uncollected
-from study.ground.atomic_files import own_folder
-from study.ground.bounded_file import (
+from study.ground.canonical import Keyed
+from study.ground.errors import Fault, InputError, StoreError, StudyError, nearest
+from study.ground.files import (
     MAX_BYTES,
     UnreadableError,
+    own_folder,
     read_existing,
     read_json,
     sha256_of,
     unzip,
 )
-from study.ground.canonical import Keyed
-from study.ground.errors import Fault, InputError, StoreError, StudyError, nearest
 from study.reporting.content.blocks import (
     Block,
     Document,

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from study.ground.contrast import Expected
 from study.ground.curve import Curve
-from study.record.document import MADE_ELSEWHERE
-from study.record.record import Record
+from study.record.record import MADE_ELSEWHERE, Record
 from study.statistics.analysis.anova_table import DepthEffect
 from study.statistics.analysis.failures import FailurePattern
 from study.statistics.convergence.grid_convergence import NumericalUncertainty

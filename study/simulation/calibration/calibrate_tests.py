@@ -31,8 +31,8 @@ from study.mechanics.material.stability import check
 from study.mechanics.measurement.conditioning import is_caution
 from study.mechanics.measurement.reading import first_notes
 from study.mechanics.measurement.recording import LARGEST_STRETCH
-from study.simulation import fit_problem, fit_task
 from study.simulation.calibration.calibration_bound import estimated_bound, with_numerical
+from study.simulation.calibration.calibration_file import CalibratedTest, CalibrationDesign
 from study.simulation.calibration.calibration_result import CalibrationResult, PartialFit
 from study.simulation.calibration.measured_tests import (
     FitCurve,
@@ -54,11 +54,7 @@ from study.simulation.calibration.resampling import (
     refuse_bootstrap,
     scattered,
 )
-from study.simulation.fit_problem import FitProblem, fitted_test, start_problem, status_of
-from study.simulation.problem_file import CalibratedTest, CalibrationDesign
-from study.simulation.provenance import code_version
-from study.simulation.response import residual_N
-from study.simulation.staged_fit import (
+from study.simulation.fit_task import (
     NO_LIMITS,
     Checkpoint,
     Limits,
@@ -69,9 +65,14 @@ from study.simulation.staged_fit import (
     cheaper,
     gentler,
     least_minimum,
+    models_of,
     named_open,
     staged_fit,
+    start_values,
 )
+from study.simulation.job import FitProblem, fitted_test, stability_over, start_problem, status_of
+from study.simulation.provenance import code_version
+from study.simulation.response import residual_N
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -115,7 +116,7 @@ class Setting:
     def search(self, checkpoint: Checkpoint | None = None) -> StagedSearch:
         """Search of its stages; without a checkpoint nothing of it is kept."""
         kept_at = checkpoint or Checkpoint(limits=self.limits)
-        return StagedSearch(self.names, fit_task.fitted_model, self.bounds, self.progress, kept_at)
+        return StagedSearch(self.names, self.bounds, self.progress, kept_at)
 
     def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
         """Fit to the curves whose role is ``fit``."""
@@ -195,17 +196,17 @@ def _start(
         simplest = start_problem(simplest)
     for before in chain:
         begun = before.tests[0].problem
-        names, first = fit_task.start_values(begun, measured, constants)
+        names, first = start_values(begun, measured, constants)
         simpler_part = replace(part, problem=begun)
         stage = f"start ({before.material.model}, {len(names)} constants)"
-        search = StagedSearch(names, fit_task.fitted_model, None, progress, checkpoint)
+        search = StagedSearch(names, None, progress, checkpoint)
         stage_parts = [cheaper(simpler_part) or simpler_part]
         simpler = begun_stage(stage, stage_parts, gentler(names, first), search).fit
         if not simpler.status.usable:
             message = f"the {stage} did not converge: {simpler.message}"
             raise InputError(Fault("calibration", message, "give constants to start from"))
         constants = simpler.constants()
-    return fit_task.start_values(ways[number].problem, measured, constants)
+    return start_values(ways[number].problem, measured, constants)
 
 
 def calibrate(
@@ -310,7 +311,7 @@ def _predictions(setting: Setting, curves: Sequence[FitCurve], fit: Fit) -> tupl
         predicted, message = fitted.get(id(curve)), "" if fit.status.usable else fit.message
         if curve.role == "held-out" and fit.status.usable:
             try:
-                (model,) = fit_task.models_of(parts_of(setting.tests, [curve]), setting.names)
+                (model,) = models_of(parts_of(setting.tests, [curve]), setting.names)
                 predicted = model(fit.values)[0]
             except EvaluationFailed as error:
                 message = str(error)
@@ -333,7 +334,7 @@ def _profiles(
     setting: Setting, curves: Sequence[FitCurve], fit: Fit
 ) -> dict[str, LikelihoodProfile]:
     ordered = in_order(curves)
-    models = fit_task.models_of(parts_of(setting.tests, ordered), setting.names)
+    models = models_of(parts_of(setting.tests, ordered), setting.names)
 
     def predict(values: Array) -> list[Curve]:
         if fit.joint is not None:
@@ -383,7 +384,7 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         judged_as, message = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
         reached = [(setting.tests[c.test].problem.setup, c.curve.displacement_mm) for c in curves]
-        judged_stable = fit_problem.stability_over(material, reached)
+        judged_stable = stability_over(material, reached)
         stable, stability = judged_stable.stable, judged_stable.sentence
     ordered = in_order(predictions)
     weighted = [

@@ -23,12 +23,18 @@ from study.mechanics.calibration.identifiability import fitted_rows
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.forward.formal_order import formal_order
 from study.mechanics.setup.setup import MESH_LEVELS
-from study.simulation import fit_task
+from study.simulation.calibration.calibration_file import CalibrationDesign
 from study.simulation.calibration.measured_tests import in_order, parts_of, read_tests
-from study.simulation.fit_task import InverseFem
-from study.simulation.problem_file import CalibrationDesign
+from study.simulation.fit_task import (
+    FitPart,
+    InverseFem,
+    Predict,
+    Progress,
+    StagedSearch,
+    models_of,
+    single_stage,
+)
 from study.simulation.response import in_shown_units
-from study.simulation.staged_fit import FitPart, Predict, Progress, StagedSearch, single_stage
 from study.statistics.convergence.grid_convergence import grid_convergence, series_bounds
 
 if TYPE_CHECKING:
@@ -115,7 +121,7 @@ def numerical_bound(
     # from coarse to fine, and the own mesh again with more steps
     parts_by_fit = [[_on_level(part, step) for part in parts] for step in levels]
     parts_by_fit.append([_with_more_steps(part) for part in parts])
-    search = StagedSearch(names, fit_task.fitted_model, bounds, progress)
+    search = StagedSearch(names, bounds, progress)
     solutions = []
     for number, changed_parts in enumerate(parts_by_fit):
         stage = f"numerical bound, fit {number + 1} of {len(parts_by_fit)}"
@@ -161,7 +167,7 @@ def estimated_bound(
             order = _order(part, names, constants)
             coarse = replace(part, problem=part.problem.on_mesh(mesh_size_mm=_RATIO * size))
             chosen_here, coarser, finer = (
-                _force(fit_task.models_of([other], names)[0], part, constants)
+                _force(models_of([other], names)[0], part, constants)
                 for other in (part, coarse, _with_more_steps(part))
             )
             pair = np.stack([chosen_here, coarser], axis=-1)

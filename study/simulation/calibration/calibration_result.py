@@ -15,10 +15,10 @@ from study.mechanics.material.input_file import Converted, convert
 from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.phases import RowCount
 from study.mechanics.setup.setup import Tables
-from study.record.document import WITH_CONSTANTS, ParameterDocument
+from study.record.record import WITH_CONSTANTS, ParameterDocument
 from study.simulation.calibration.measured_tests import FitCurve
 from study.simulation.calibration.resampling import Starts
-from study.simulation.fit_problem import status_of
+from study.simulation.job import status_of
 from study.simulation.response import in_shown_units, scale_of
 
 if TYPE_CHECKING:

@@ -21,11 +21,15 @@ from study.mechanics.measurement.measured_test import MeasuredTest, checked
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.setup.calibration_table import Fitting, Loss
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
-from study.simulation.fit_problem import fitted_test
-from study.simulation.job import gauge_of
-from study.simulation.problem_file import OFFSET, CalibratedTest, NuisanceInput, Role
+from study.simulation.calibration.calibration_file import (
+    OFFSET,
+    CalibratedTest,
+    NuisanceInput,
+    Role,
+)
+from study.simulation.fit_task import FitPart
+from study.simulation.job import fitted_test
 from study.simulation.response import CURVE_RESPONSES, residual_N
-from study.simulation.staged_fit import FitPart
 
 #: ratio of the largest forces of two fitted tests from which equal weights hide the smaller
 _UNEVEN = 5.0
@@ -75,11 +79,11 @@ def read_tests(
     curves: list[FitCurve] = []
     notes: list[str] = []
     for number, test in enumerate(tests):
-        setup, offset = test.problem.setup, test.nuisance.get(OFFSET)
+        problem, offset = test.problem, test.nuisance.get(OFFSET)
         data = checked(read_measurements(
-            test.measurements, root, setup.height_mm, setup.test.displacement_mm, gauge_of(setup),
+            test.measurements, root, problem.height_mm, problem.depth_mm, problem.gauge,
             own_rows=True, zero_within_mm=None if offset is None else offset.reach,
-        ), setup)  # fmt: skip
+        ), problem.setup)  # fmt: skip
         notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
             mean = data.curve(specimen, **dict(data.spec.fit or {}))

@@ -27,15 +27,13 @@ from study.mechanics.calibration.lack_of_fit import (
 )
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import is_dimensionless, unit_shown
-from study.simulation import fit_task
 from study.simulation.calibration.calibrate_tests import calibrate
+from study.simulation.calibration.calibration_file import CalibrationDesign
 from study.simulation.calibration.calibration_result import CalibrationResult, parameters
 from study.simulation.calibration.measured_tests import in_order, parts_of, read_tests
-from study.simulation.fit_problem import fitted_test
-from study.simulation.fit_task import fitted_model
-from study.simulation.problem_file import CalibrationDesign
+from study.simulation.fit_task import OPEN, Progress, fitted_model, models_of
+from study.simulation.job import fitted_test
 from study.simulation.response import in_shown_units, scale_of
-from study.simulation.staged_fit import OPEN, Progress
 
 # Constants of one test to first order around those of all tests: one Gauss-Newton step from the
 # common estimate (Rao 1948, Proc. Camb. Phil. Soc. 44, 50), where Wald's statistic rejects too
@@ -55,7 +53,7 @@ def linearized_fit(config: CalibrationDesign, root: Path, common: Mapping[str, f
             force_gradient=dict(zip(names, curve.gradients_at(names, d).T, strict=True)),
             time_s=curve.time_s,
         )
-        for part, model in zip(parts, fit_task.models_of(parts, names), strict=True)
+        for part, model in zip(parts, models_of(parts, names), strict=True)
         for curve, measured_curve in zip(model(center), part.curves, strict=True)
     ]
 

@@ -26,12 +26,11 @@ from study.mechanics.calibration.residual_function import (
     pseudo_jacobian,
 )
 from study.mechanics.calibration.serial_correlation import row_noise
-from study.simulation import fit_task
+from study.simulation.calibration.calibration_file import FRICTION, OFFSET, ZERO, CalibratedTest
 from study.simulation.calibration.measured_tests import FitCurve, parts_of
 from study.simulation.cell import CellProblem
-from study.simulation.fit_problem import fitted_test
-from study.simulation.problem_file import FRICTION, OFFSET, ZERO, CalibratedTest
-from study.simulation.staged_fit import TOLERANCES, FitPart
+from study.simulation.fit_task import TOLERANCES, FitPart, InverseFem, closed_form_model
+from study.simulation.job import fitted_test
 
 
 def parameters_of(
@@ -113,12 +112,12 @@ _Model = Callable[[Array, Array], Curve]
 def _closed_form(problem: CellProblem, names: Sequence[str]) -> _Model:
     def at(values: Array, grid: Array) -> Curve:
         empty = [Curve(grid, np.zeros_like(grid))]
-        return fit_task.closed_form_model(problem, empty, names)(values)[0]
+        return closed_form_model(problem, empty, names)(values)[0]
 
     return at
 
 
-class _Simulated(fit_task.InverseFem):
+class _Simulated(InverseFem):
     """Simulation at any displacements up to a depth, solved once for each set of constants."""
 
     def __init__(self, problem: CellProblem, names: Sequence[str], depth_mm: float) -> None:

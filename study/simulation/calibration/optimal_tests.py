@@ -27,8 +27,8 @@ from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, is_dimensionless, unit_shown
 from study.mechanics.setup.geometry import Sphere
 from study.mechanics.setup.test_kind import TEST_KINDS
+from study.simulation.calibration.calibration_file import CalibratedTest
 from study.simulation.calibration.measured_tests import FitCurve, in_order
-from study.simulation.problem_file import CalibratedTest
 from study.simulation.response import in_shown_units
 
 if TYPE_CHECKING:

@@ -19,19 +19,20 @@ from study.ground.arrays import Array
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.relaxation import is_of_relaxation
-from study.simulation import fit_task
+from study.simulation.calibration.calibration_file import CalibratedTest, CalibrationDesign
 from study.simulation.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
-from study.simulation.fit_task import Residuals, resampled, residuals_of
-from study.simulation.problem_file import CalibratedTest, CalibrationDesign
-from study.simulation.response import in_shown_units
-from study.simulation.staged_fit import (
+from study.simulation.fit_task import (
     FitPart,
+    Residuals,
     StagedSearch,
     energy_of,
+    resampled,
+    residuals_of,
     single_stage,
     with_moduli,
     within,
 )
+from study.simulation.response import in_shown_units
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -121,7 +122,7 @@ def bootstrap(
             again = parts_of(tests, in_order([c for s in drawn_labels for c in specimens[s]]))
         else:
             again = _of_rows(parts, blocks, rng)
-        search = StagedSearch(fit.names, fit_task.fitted_model, bounds)
+        search = StagedSearch(fit.names, bounds)
         fitted = single_stage("resampled", again, fit.values, search).fit
         if fitted.converged:
             values.append(fitted.values)
