@@ -36,7 +36,7 @@ from tests.reporting.example import (
     words_of,
 )
 
-FIRST = ["answer", "effects", "card", "curves", "recommendation"]
+FIRST = ["answer", "effects", "curves", "card", "recommendation"]
 SECTIONS = (
     "answer study checks numerics error r-relative-rms-force-error r-mu0 assumptions curves "
     "constants failures cost methods provenance glossary"

@@ -344,12 +344,14 @@ def _samples(pair: CurvePair, line: str, panel: str) -> list[tuple[str | float, 
 LONGEST_TITLE = 72
 #: Width of one character of a title in inches: 7.5 pt, 0.6 em wide.
 CHARACTER_IN = 0.6 * 7.5 / 72
-#: Inches of a row: a line of the title or the legend, the force axis, the residual axis.
+#: Inches of a line of the title or the legend, of the displacements below all panels.
 LINE_IN = 0.15
-FORCE_IN = 1.0
-RESIDUAL_IN = 0.65
-#: Levels of the factor drawn as lines that stand beside each other in the legend.
-NAMES_IN_ROW = 5
+BELOW_IN = 0.44
+#: Inches of the axes of force and of residual in one of many panels, and on the first page.
+MANY_IN = (1.0, 0.65)
+FEW_IN = (0.72, 0.42)
+#: Inches of a column of the legend.
+NAME_IN = 1.66
 
 
 def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> Canvas:
@@ -358,26 +360,30 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
     Axes are placed in inches: to measure the text of 48 of them takes a layout engine seconds.
     """
     number, levels = len(panels.panels), len(data.factors[panels.panel]) if panels.panel else 1
-    columns = min(max(levels, (4 // levels) * levels), number)
-    rows = -(-number // columns)
-    titles = panel_titles(panels, style.WIDTH_IN / columns, data)
+    columns, width = min(max(levels, (4 // levels) * levels), number), style.WIDTH_IN
+    axes_in = MANY_IN
+    if number <= MOST_COLUMNS:  # of the first page
+        columns, width = min(number, 2), style.HALF_IN
+        axes_in = FEW_IN if number > columns else (2 * FEW_IN[0], 2 * FEW_IN[1])
+    rows, names_in_row = -(-number // columns), int(width / NAME_IN)
+    titles = panel_titles(panels, width / columns, data)
     points = Line2D(
         [], [], color=style.INK, marker="o", markersize=3, linestyle="none", label="measured"
     )
     handles: list[Line2D | Patch] = [points]
     if panels.frame["scatter_N"].notna().any():
-        handles.append(Patch(color=SCATTER, label="standard deviation of the repeats"))
+        handles.append(Patch(color=SCATTER, label="sd of the repeats"))
     drawn = set(panels.frame["line"])
     names = [(k, name) for k, name in enumerate(data.factors[panels.line]) if name in drawn]
     handles += [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
     title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
-    top_in = 0.05 + 1.3 * LINE_IN * -(-len(handles) // NAMES_IN_ROW)
-    height = 0.5 + top_in + rows * (title_in + FORCE_IN + RESIDUAL_IN)
-    figure = style.canvas(height, arranged=False)
+    top_in = 0.02 + 1.2 * LINE_IN * -(-len(handles) // names_in_row)
+    height = BELOW_IN + top_in + rows * (title_in + sum(axes_in))
+    figure = style.canvas(height, width, arranged=False)
     grid = figure.add_gridspec(
-        3 * rows, columns, left=0.62 / style.WIDTH_IN, right=0.99, top=1 - top_in / height,
-        bottom=0.5 / height, wspace=0.1, hspace=0.06,
-        height_ratios=(title_in, FORCE_IN, RESIDUAL_IN) * rows,
+        3 * rows, columns, left=0.62 / width, right=0.99, top=1 - top_in / height,
+        bottom=BELOW_IN / height, wspace=0.1, hspace=0.06,
+        height_ratios=(title_in, *axes_in) * rows,
     )  # fmt: skip
     frame = panels.shown
     gap = (frame["predicted_N"] - frame["measured_N"]).abs()
@@ -404,10 +410,10 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
             # numbers at the outer axes hold for all panels of a row or a column
             is_lowest = ax is residual and index + columns >= number
             ax.tick_params(labelleft=column == 0, labelbottom=is_lowest)
-    figure.text(0.5, 0.08 / height, "displacement (mm)", ha="center", fontsize=8.5)
-    corner = (0.5 / style.WIDTH_IN, 1.0)
+    figure.text(0.5, 0.06 / height, "displacement (mm)", ha="center", fontsize=8.5)
+    corner = (0.5 / width, 1.0)
     figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=NAMES_IN_ROW,
+        handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=names_in_row,
         borderaxespad=0.2, columnspacing=1.4,
     )  # fmt: skip
     return figure

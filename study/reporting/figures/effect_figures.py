@@ -253,6 +253,10 @@ _VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
 #: marker of each verdict, so that it is not told by its color alone; hollow where nothing is shown
 _VERDICT_MARKER = {MATTERS: "o", NO_DIFFERENCE: "s"}
 _WORD_COLOR = {MATTERS: style.WORDS[1], NO_DIFFERENCE: style.WORDS[2]}
+#: inches of a line of words, of the interval below it, and characters of such a line
+_LINE_IN = 0.145
+_BAR_IN = 0.17
+_CHARACTERS = 74
 #: interactions of a response that are drawn
 _MOST_INTERACTIONS = 3
 #: multiples of what matters up to which an axis is drawn to one scale
@@ -319,48 +323,55 @@ def _multiples(values: Sequence[float | None], u: float | None, effect: Effect) 
 
 
 def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canvas:
-    """Draw a row a term, the responses below each other, on the band of what does not matter."""
-    several = len(all_facts) > 1
-    # above the rows of a response stands its name, where there are several
-    group = frame.groupby("response", sort=False).ngroup().to_numpy()
-    places = (np.arange(len(frame)) + (group + 1 if several else 0)).tolist()
-    firsts = np.flatnonzero(np.diff(group, prepend=-1)) if several else ()
-    heads = [(places[k] - 1, str(frame["response"].iloc[k])) for k in firsts]
-    height = max(places) + 1
-    figure, ax = style.one_panel(0.75 + 0.25 * height)
+    """Draw a row a term, the responses below each other, on the band of what does not matter.
+
+    Names and sizes stand above their intervals, so that the figure is read on half a page.
+    """
+    several, by_name = len(all_facts) > 1, {facts.name: facts for facts in all_facts}
+    rows, lines, places, height = [], [], [], 0.0
+    for k, (response, name, verdict, shown) in enumerate(
+        frame[["response", "name", "verdict", "shown"]].itertuples(index=False)
+    ):
+        if several and (not k or response != frame["response"].iloc[k - 1]):
+            height += 0.5 * _LINE_IN if k else 0.0
+            lines.append((height, clean(by_name[response].title, 60), "", "bold"))
+            height += 1.3 * _LINE_IN
+        words = f"{verdict}:  {shown}" if verdict else shown
+        named = style.wrap(name, max(_CHARACTERS - len(words), 24), 80)
+        lines.append((height, named, words, "normal"))
+        height += _LINE_IN * (named.count("\n") + 1)
+        places.append(height + 0.25 * _BAR_IN)
+        rows.append(verdict)
+        height += _BAR_IN
+    figure, ax = style.one_panel(0.7 + height, style.HALF_IN)
     limited = bool(frame["limited"].all())
     if limited:
         ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)
-        top = ax.get_xaxis_transform()
-        look = {"ha": "center", "color": style.MUTED, "xycoords": top}
-        style.note(ax, "too small to matter", (0, 1.0), (0, 3), **look)
-    ax.axvline(0, color=style.MUTED, linewidth=0.7)
-    at, verdicts = np.asarray(places), [str(verdict) for verdict in frame["verdict"]]
-    colors = [_VERDICT_COLOR.get(verdict, style.MUTED) for verdict in verdicts]
+        style.above(ax, "too small to matter", 0.0)
+    colors = [_VERDICT_COLOR.get(verdict, style.MUTED) for verdict in rows]
     low, high, bound, size_of = (
         frame[name].to_numpy(float) for name in ("low", "high", "bound", "difference")
     )
     # without an interval there is still the mesh error about the difference itself
     low, high = np.where(np.isnan(low), size_of, low), np.where(np.isnan(high), size_of, high)
-    ax.hlines(at, low - bound, high + bound, colors=colors, linewidth=0.8)
-    ax.hlines(at, low, high, colors=colors, linewidth=2.6)
-    for y, verdict, color, x in zip(places, verdicts, colors, size_of.tolist(), strict=True):
+    ax.hlines(places, low - bound, high + bound, colors=colors, linewidth=0.8)
+    ax.hlines(places, low, high, colors=colors, linewidth=2.6)
+    at = np.asarray(places)  # the line of no difference leaves out the words
+    ax.vlines(np.zeros(at.size), at - 0.05, at + 0.05, color=style.MUTED, lw=0.7, zorder=0.5)
+    for y, verdict, color, x in zip(places, rows, colors, size_of.tolist(), strict=True):
         face = color if verdict in _VERDICT_MARKER else "white"
         ax.plot(
             [x], [y], _VERDICT_MARKER.get(verdict, "o"), color=color, markerfacecolor=face,
-            markersize=6.5, markeredgewidth=1.4,
+            markersize=5.5, markeredgewidth=1.2,
         )  # fmt: skip
-    by_name = {facts.name: facts for facts in all_facts}
-    for y, response in heads:
-        edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
-        bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
-        style.note(ax, clean(by_name[response].title, 60), (0, y), (-3.5, 0), **bold)
-    style.name_rows(ax, places, [style.wrap(name, 40, 80) for name in frame["name"]], 8)
-    for y, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
-        style.at_right(
-            ax, f"{verdict}:  {words}" if verdict else words, y, _WORD_COLOR.get(verdict)
-        )
-    ax.set_ylim(height - 0.4, -0.7)
+    for y, name, words, weight in lines:
+        verdict = words.partition(":  ")[0]
+        edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False, "va": "top"}
+        style.note(ax, name, (0, y), (0, 0), fontweight=weight, **edge)
+        color = _WORD_COLOR.get(verdict, style.INK)
+        style.note(ax, words, (1, y), (0, 0), ha="right", color=color, **edge)
+    ax.set_ylim(height, -0.05)
+    ax.set_yticks([])
     _scale_of_multiples(ax, frame, limited, all_facts)
     style.clean_left(ax)
     return figure

@@ -131,10 +131,10 @@ def two_pages(
     blocks: list[Block] = [Heading("Answer", 2, "answer"), *map(Sentence, answer)]
     if effects is not None:
         blocks += [Heading(effects.title, 2, "effects"), effects]
-    checks = analysis_content.all_checks(data, all_facts)
-    blocks += [Heading("Report card", 2, "card"), report_card(checks, data)]
     if curves is not None:
         blocks += [Heading("Measured and predicted", 2, "curves"), curves]
+    checks = analysis_content.all_checks(data, all_facts)
+    blocks += [Heading("Report card", 2, "card"), report_card(checks, data)]
     title = "Recommendation" if advice else "What would change this"
     if data.surfaces and advice:
         title = "Smallest and largest predictions"
