@@ -21,7 +21,7 @@ from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.noncentral_f import noncentral_f_sf
-from study.ground.units import p_phrase
+from study.ground.units import p_phrase, times
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.fit_influence import recorded_rows
 from study.mechanics.calibration.residual_function import MeasuredCurve
@@ -402,7 +402,7 @@ def apart(scales: Mapping[str, float], most: float) -> list[_Finding]:
     limit = np.maximum(math.log(most), np.minimum(_BEYOND_OTHERS * scatter, excused))
     mend = "check units, sign and specimen of its rows, or leave it out"
     return [
-        (1, f"{label}: its forces are {size / usual:.2g} times the others': {mend}", ())
+        (1, f"{label}: its forces are {times(size / usual, 2)} the others': {mend}", ())
         for label, size, is_off in zip(scales, sizes, np.abs(logarithms) > limit, strict=True)
         if is_off
     ]

@@ -98,6 +98,8 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
         *_cost(data, parts),
     ]
     curves = of_all.get("few-curves", of_all.get("curves"))
+    if curves is None:
+        curves = next(iter(surface_figures.profilers(data, is_first_page=True)), None)
     # of a table of levels that a surface replaces, nothing is missed
     pairs = [(item.title, warning) for item, _ in parts for warning in item.warnings]
     warnings = (*dict.fromkeys(data.warnings), *sentences.folded(pairs, data))
@@ -132,7 +134,8 @@ def two_pages(
     if effects is not None:
         blocks += [Heading(effects.title, 2, "effects"), effects]
     if curves is not None:
-        blocks += [Heading("Measured and predicted", 2, "curves"), curves]
+        words = curves.title if data.surfaces else "Measured and predicted"
+        blocks += [Heading(words, 2, "curves"), curves]
     checks = analysis_content.all_checks(data, all_facts)
     blocks += [Heading("Report card", 2, "card"), report_card(checks, data)]
     title = "Recommendation" if advice else "What would change this"
@@ -185,14 +188,18 @@ _END = re.compile(r"(?<=[.?!])\s+(?=[A-Z\N{MULTIPLICATION SIGN}])")
 
 
 def in_few(lines: Iterable[str]) -> tuple[str, ...]:
-    """Return the lines that together have at most five sentences, the first of them cut to that."""
+    """Return the lines that together have at most five sentences, the first sentence by itself."""
     shown: list[str] = []
     left = MOST_SENTENCES
     for line in filter(None, lines):
         parts = _END.split(line)
-        if len(parts) <= left or not shown:
-            shown.append(" ".join(parts[:left]))
-            left -= min(len(parts), left)
+        if not shown:
+            shown += filter(None, (parts[0], " ".join(parts[1:left])))
+        elif len(parts) <= left:
+            shown.append(line)
+        else:
+            continue
+        left -= min(len(parts), left)
     return tuple(shown)
 
 
