@@ -222,12 +222,17 @@ def draw_interactions(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Ca
         )
         named = [f" {clean(level, 24)}" for level in levels[:_MOST_NAMED]]
         title = clean(name_of(first, data.labels), 22)
-        ax.legend(ax.lines[: len(named)], named, title=title, fontsize=7, title_fontsize=7)
+        look = {"title": title, "fontsize": 7, "title_fontsize": 7, "loc": "upper right"}
+        ax.legend(ax.lines[: len(named)], named, **look)
         narrow = max(int(26 / len(across)), 6)
         ax.set_xticks(range(len(across)), [style.wrap(level, narrow, 24) for level in across])
         ax.tick_params(axis="x", labelsize=7, length=0)
         ax.set(xlabel=clean(name_of(second, data.labels), 30), ylabel="")
         ax.grid(axis="y")
+    # legends stand above the lines: a line of one takes a ninth of the height
+    low, high = axes[0].get_ylim()
+    names = max(min(len(data.factors[str(first)]), _MOST_NAMED) for first in frame["factor"])
+    axes[0].set_ylim(low, low + (high - low) / (1 - (names + 1) / 12))
     figure.supylabel(style.labeled(facts.title, facts.unit))
     return figure
 
@@ -343,7 +348,9 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
         places.append(height + 0.25 * _BAR_IN)
         rows.append(verdict)
         height += _BAR_IN
-    figure, ax = style.one_panel(0.7 + height, style.HALF_IN)
+    # placed in inches: a layout engine would measure every word twice
+    figure = style.canvas(0.65 + height, style.HALF_IN, arranged=False)
+    ax = figure.add_axes((0.01, 0.48 / (0.65 + height), 0.98, height / (0.65 + height)))
     limited = bool(frame["limited"].all())
     if limited:
         ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)

@@ -87,10 +87,11 @@ def draw_contrasts(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> Canv
         native_scale=True, dodge=False, saturation=1, width=0.66, errorbar=None, legend=False,
         ax=pareto,
     )  # fmt: skip
-    for column, dashes, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
+    limits = ("margin", "--", "one ", "right"), ("simultaneous", ":", " all", "left")
+    for column, dashes, name, side in limits:
         limit = float(shown[column].iloc[0])
         pareto.axvline(limit, color=style.INK, linewidth=0.8, linestyle=dashes)
-        style.above(pareto, name, limit)
+        style.above(pareto, name, limit, ha=side)
     style.name_rows(pareto, places, [style.wrap(name, 30) for name in shown["name"]])
     pareto.set_ylim(len(shown) - 0.4, -0.6)
     style.clean_left(pareto)
