@@ -440,7 +440,7 @@ energy = ["first", "second"]
     ran = study.run(
         tmp_path / "unit.toml", data=tmp_path, results=tmp_path / "r", reports=None, jobs=1
     )
-    (line,) = [one for one in ran.answers if "calibrations describe their rows" in one]
+    (line,) = [one for one in ran.answers if "calibrations describe their data" in one]
     assert "specimen S3: its forces are" in line
     assert "curve " not in line
     assert re.search(r"6 are doubtful, for example that of \w+, all but specimen S[124]: ", line)

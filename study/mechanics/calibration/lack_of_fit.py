@@ -542,9 +542,9 @@ def _of_trend(groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
             continue
         grade = 2 if p < _CLEARER and share > _TREND else 1
         why = (
-            f"{_labels(group)}: the residuals follow a line of {100 * share:.2g} % of the RMS "
-            f"force that is neither noise nor drift ({p_phrase(p)}): take another energy, or a "
-            "shorter range"
+            f"{_labels(group)}: the residuals have a trend of {100 * share:.2g} % of the RMS "
+            f"force, beyond noise and drift ({p_phrase(p)}): take another energy, or a shorter "
+            "range"
         )
         out.append((grade, why, ()))
     # each direction of a biaxial test has a load cell of its own

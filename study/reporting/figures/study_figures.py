@@ -194,7 +194,8 @@ def front_caption(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> str:
     return sentence(
         f"{count(len(near), 'cell')} of {len(frame)} {lie} within "
         f"{trimmed(practical_of(facts, frame))}{THIN}{facts.difference_unit} of the best; the "
-        f"cheapest of them takes {duration(cheap)} a case, the dearest cell of all {duration(dear)}"
+        f"cheapest of them takes {duration(cheap)} a case, the most expensive of all cells "
+        f"{duration(dear)}"
     )
 
 

@@ -280,13 +280,13 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
     if records is not None:
         names = tuple(f"{tables.CELL}{k}" for k in range(1, len(cells.rows) + 1))
         cells = replace(cells, links=names)
-    measured = ["Generated (virtual specimens), not measured."] if data.virtual else []
-    if data.imported:
-        measured += data.imported
+    measured = data.citation or "No citation given."
+    if data.virtual:
+        measured = f"Generated, not measured: {data.citation or 'virtual specimens'}"
+    elif data.imported:
+        measured = " ".join(data.imported)
     elif not data.is_measured:
-        measured.append("none: every response is one of the simulation alone")
-    elif data.citation or not data.virtual:
-        measured.append(data.citation or "No citation given.")
+        measured = "none: every response is one of the simulation alone"
     present = len(cells.rows)
     computed = f"{present:,} of {count(data.planned, 'cell')} computed"
     if present >= data.planned:
@@ -301,7 +301,7 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
         *blocks_of(data, len(data.blocks)),
         Definition("Cases", [Sentence(f"{computed}, {len(data.table):,} cases")]),
         Definition("Responses", [Sentence(note(f), f.title) for f in all_facts]),
-        Definition("Measurements", [Sentence(" ".join(measured))]),
+        Definition("Measurements", [Sentence(measured)]),
         *(Definition(key, [Sentence(text)], "assumed" * (key in data.assumed))
           for key, text in inputs.items()),
         *(Definition(key, [Sentence(text)], "assumed")
@@ -415,7 +415,7 @@ def _response(data: ReportData, item: Facts, figures: Figures) -> Blocks:
             links=(("the matrix", "#matrix"),),
         )
     if "depth" in figures:
-        yield Heading("A second look: how deep the test goes")
+        yield Heading("Effects against the depth of the test")
         yield figures["depth"]
 
 
