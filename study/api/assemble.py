@@ -509,7 +509,7 @@ def _checks_of_fits(
     if bad or doubtful:
         first = (bad or doubtful)[0]
         name = names[first["key"]]
-        use = f"check {count(len(doubtful), 'doubtful fit')}{name and f', for example {name}'}"
+        use = f"check {count(len(doubtful), 'doubtful fit')}"
         if bad:
             missed = f"{count(len(bad), 'fit')} that missed the data"
             use = f"use no constant of {missed}{name and f', such as {name}'}"

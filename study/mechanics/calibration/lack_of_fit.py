@@ -480,7 +480,7 @@ def _of_rows(recording: _Recording) -> Iterator[_Finding]:
         most, first = ("", "it") if len(steps) == 1 else ("up to ", "the first")
         why = (
             f"{recording.label}: the force jumps by {most}{jumps.max():.3g} N between {where}: "
-            f"the specimen slipped or tore there: write the range before {first}"
+            f"the specimen slipped or tore there: fit only the range before {first}"
         )
         yield 1, why, rows
         return

@@ -258,11 +258,11 @@ def _inline(text: str, name: str, title: str) -> str:
                 del element.attrib["transform"]
     for dimension in ("width", "height"):
         root.attrib.pop(dimension, None)
-    # a narrow drawing does not fill a wide page with large letters
-    width = f"max-width: {1.75 * float(root.attrib['viewBox'].split()[2]):.0f}px"
+    # a narrow drawing does not fill a wide page, a wide one keeps its letters on a phone
+    points = float(root.attrib["viewBox"].split()[2])
+    root.attrib["style"] = f"max-width: {1.75 * points:.0f}px; --least: {0.95 * points:.0f}px"
     # for a drawing opened by itself; in a page, its style sheet chooses
     root.attrib.update({"role": "img", "aria-label": title, "font-family": "Arial, sans-serif"})
-    root.attrib["style"] = width
     return ElementTree.tostring(root, encoding="unicode")
 
 

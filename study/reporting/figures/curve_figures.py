@@ -347,9 +347,11 @@ CHARACTER_IN = 0.6 * 7.5 / 72
 #: Inches of a line of the title or the legend, of the displacements below all panels.
 LINE_IN = 0.15
 BELOW_IN = 0.44
-#: Inches of the axes of force and of residual in one of many panels, and on the first page.
+#: Inches of the axes of force and of residual in one of many panels.
 MANY_IN = (1.0, 0.65)
-FEW_IN = (0.72, 0.42)
+#: Height in inches of the figure of the first page, and the part of a row of it that force has.
+FEW_IN = 3.46
+FORCE_PART = 0.63
 #: Inches of a column of the legend.
 NAME_IN = 1.66
 
@@ -364,7 +366,6 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
     axes_in = MANY_IN
     if number <= MOST_COLUMNS:  # of the first page
         columns, width = min(number, 2), style.HALF_IN
-        axes_in = FEW_IN if number > columns else (2 * FEW_IN[0], 2 * FEW_IN[1])
     rows, names_in_row = -(-number // columns), int(width / NAME_IN)
     titles = panel_titles(panels, width / columns, data)
     points = Line2D(
@@ -378,6 +379,9 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
     handles += [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
     title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
     top_in = 0.02 + 1.2 * LINE_IN * -(-len(handles) // names_in_row)
+    if number <= MOST_COLUMNS:
+        row_in = (FEW_IN - BELOW_IN - top_in) / rows - title_in
+        axes_in = FORCE_PART * row_in, (1 - FORCE_PART) * row_in
     height = BELOW_IN + top_in + rows * (title_in + sum(axes_in))
     figure = style.canvas(height, width, arranged=False)
     grid = figure.add_gridspec(
@@ -401,10 +405,13 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
         residual.set_ylim(-wide, wide)
         if column == 0:
             unit = "%" if panels.is_relative else "N"
-            force.set_ylabel(f"force ({unit})")
-            residual.set_ylabel(f"resid. ({unit})")
+            small = {"fontsize": 6.5} if number <= MOST_COLUMNS else {}
+            force.set_ylabel(f"force ({unit})", **small)
+            residual.set_ylabel(f"resid. ({unit})", **small)
         for ax in (force, residual):
-            ax.locator_params(axis="y", nbins=4 if ax is force else 3)
+            # the zero of force would touch the highest residual
+            nbins, prune = (4, "lower") if ax is force else (3, None)
+            ax.locator_params(axis="y", nbins=nbins, prune=prune)
             ax.locator_params(axis="x", nbins=4)
             ax.grid(axis="y")
             # numbers at the outer axes hold for all panels of a row or a column

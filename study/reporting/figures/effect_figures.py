@@ -259,9 +259,9 @@ _VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
 _VERDICT_MARKER = {MATTERS: "o", NO_DIFFERENCE: "s"}
 _WORD_COLOR = {MATTERS: style.WORDS[1], NO_DIFFERENCE: style.WORDS[2]}
 #: inches of a line of words, of the interval below it, and characters of such a line
-_LINE_IN = 0.145
-_BAR_IN = 0.17
-_CHARACTERS = 74
+_LINE_IN = 0.135
+_BAR_IN = 0.15
+_CHARACTERS = 86
 #: interactions of a response that are drawn
 _MOST_INTERACTIONS = 3
 #: multiples of what matters up to which an axis is drawn to one scale
@@ -277,8 +277,14 @@ def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
     return style.shown(lambda: draw_against_limits(frame, [facts]), "effects", title)
 
 
-def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.DataFrame:
-    """Largest difference of every term over the smallest that matters, ratios on the log."""
+def against_limits(
+    all_facts: Sequence[Facts], labels: Mapping[str, str], *, is_brief: bool = False
+) -> pd.DataFrame:
+    """Largest difference of every term over the smallest that matters, ratios on the log.
+
+    A term whose verdict is that of one setting has a row for it below its average; a brief figure
+    leaves the average out.
+    """
     rows = []
     for facts in all_facts:
         strong = [e for e in facts.interactions if e.strength == MATTERS or e.practical is None]
@@ -301,7 +307,17 @@ def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.
                 size_there = shown_difference(apart(simple.difference, effect), effect, facts)
                 rows.append(row | at | {"name": setting(simple, labels), "shown": size_there})
                 rows[-2]["verdict"] = ""  # the setting has it, the average has not
+                if is_brief:
+                    rows[-1]["name"] = f"{row['name']}, at {_levels(simple, labels)}"
+                    del rows[-2]
     return pd.DataFrame(rows)
+
+
+def _levels(simple: SimpleEffect, labels: Mapping[str, str]) -> str:
+    """Levels of a setting; with the names of their factors where one is a number."""
+    levels = [clean(level) for _, level in simple.at]
+    is_named = all(any(map(str.isalpha, level)) for level in levels)
+    return ", ".join(levels) if is_named else setting(simple, labels).removeprefix("at ")
 
 
 def _deciding_setting(effect: Effect) -> SimpleEffect | None:
@@ -406,7 +422,7 @@ def _scale_of_multiples(
         ax.minorticks_off()
     ax.set_xlim(low * 1.05, high * 1.06)
     ends = f", with {level(facts.alpha)} interval" if frame["low"].notna().any() else ""
-    ax.set_xlabel(f"largest difference between levels, as a multiple of what matters{ends}")
+    ax.set_xlabel(f"largest difference as a multiple of what matters{ends}")
 
 
 PLOTS: dict[str, style.Plot] = {

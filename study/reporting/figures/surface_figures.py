@@ -184,8 +184,9 @@ def _finding(
 def _draw_profiles(rows: Rows, data: ReportData, frame: pd.DataFrame) -> Canvas:
     names = list(dict.fromkeys(frame["factor"]))[:_COLUMNS]
     number, shared = len(rows) * len(names), {"sharex": "col", "sharey": "row"}
-    figure, axes = style.panels(number, len(names), 1.9, 0.5, **shared)
-    if len(names) <= _FEW_COLUMNS and len(rows) <= _FEW_ROWS:
+    is_few = len(names) <= _FEW_COLUMNS and len(rows) <= _FEW_ROWS
+    figure, axes = style.panels(number, len(names), 1.6 if is_few else 1.9, 0.5, **shared)
+    if is_few:
         figure.set_figwidth(style.HALF_IN)
     panels = frame.groupby(["response", "factor"])
     for ax, ((fitted, _), name) in zip(axes, product(rows, names), strict=True):
@@ -300,7 +301,7 @@ def _left_out_caption(
 def _draw_left_out(
     _surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData, frame: pd.DataFrame
 ) -> Canvas:
-    figure, ax = style.one_panel(3.9)
+    figure, ax = style.one_panel(3.9, style.HALF_IN)
     ends = [float(frame.min().min()), float(frame.max().max())]
     ax.plot(ends, ends, color=style.MUTED, linewidth=0.8)
     ax.scatter(frame["simulated"], frame["predicted"], s=14, color=style.color_of(0), linewidths=0)
