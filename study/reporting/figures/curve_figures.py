@@ -347,11 +347,11 @@ CHARACTER_IN = 0.6 * 7.5 / 72
 #: Inches of a line of the title or the legend, of the displacements below all panels.
 LINE_IN = 0.15
 BELOW_IN = 0.44
-#: Inches of the axes of force and of residual in one of many panels.
-MANY_IN = (1.0, 0.65)
-#: Height in inches of the figure of the first page, and the part of a row of it that force has.
+#: Inches of the axes of one of many panels, and of the whole figure of the first page.
+MANY_IN = 1.65
 FEW_IN = 3.46
-FORCE_PART = 0.63
+#: Part of the axes that force has; the residual has the rest.
+FORCE_PART = 0.62
 #: Inches of a column of the legend.
 NAME_IN = 1.66
 
@@ -362,10 +362,9 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
     Axes are placed in inches: to measure the text of 48 of them takes a layout engine seconds.
     """
     number, levels = len(panels.panels), len(data.factors[panels.panel]) if panels.panel else 1
-    columns, width = min(max(levels, (4 // levels) * levels), number), style.WIDTH_IN
-    axes_in = MANY_IN
-    if number <= MOST_COLUMNS:  # of the first page
-        columns, width = min(number, 2), style.HALF_IN
+    is_few = number <= MOST_COLUMNS  # those of the first page
+    columns = min(2 if is_few else max(levels, (4 // levels) * levels), number)
+    width = style.HALF_IN if is_few else style.WIDTH_IN
     rows, names_in_row = -(-number // columns), int(width / NAME_IN)
     titles = panel_titles(panels, width / columns, data)
     points = Line2D(
@@ -379,15 +378,13 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
     handles += [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
     title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
     top_in = 0.02 + 1.2 * LINE_IN * -(-len(handles) // names_in_row)
-    if number <= MOST_COLUMNS:
-        row_in = (FEW_IN - BELOW_IN - top_in) / rows - title_in
-        axes_in = FORCE_PART * row_in, (1 - FORCE_PART) * row_in
-    height = BELOW_IN + top_in + rows * (title_in + sum(axes_in))
+    row_in = (FEW_IN - BELOW_IN - top_in) / rows - title_in if is_few else MANY_IN
+    height = BELOW_IN + top_in + rows * (title_in + row_in)
     figure = style.canvas(height, width, arranged=False)
     grid = figure.add_gridspec(
         3 * rows, columns, left=0.62 / width, right=0.99, top=1 - top_in / height,
         bottom=BELOW_IN / height, wspace=0.1, hspace=0.06,
-        height_ratios=(title_in, *axes_in) * rows,
+        height_ratios=(title_in, FORCE_PART * row_in, (1 - FORCE_PART) * row_in) * rows,
     )  # fmt: skip
     frame = panels.shown
     gap = (frame["predicted_N"] - frame["measured_N"]).abs()
@@ -405,9 +402,8 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
         residual.set_ylim(-wide, wide)
         if column == 0:
             unit = "%" if panels.is_relative else "N"
-            small = {"fontsize": 6.5} if number <= MOST_COLUMNS else {}
-            force.set_ylabel(f"force ({unit})", **small)
-            residual.set_ylabel(f"resid. ({unit})", **small)
+            force.set_ylabel(f"force ({unit})", fontsize=6.5 if is_few else 8.5)
+            residual.set_ylabel(f"resid. ({unit})", fontsize=6.5 if is_few else 8.5)
         for ax in (force, residual):
             # the zero of force would touch the highest residual
             nbins, prune = (4, "lower") if ax is force else (3, None)

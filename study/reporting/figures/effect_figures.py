@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations, repeat
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -222,8 +223,8 @@ def draw_interactions(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Ca
         )
         named = [f" {clean(level, 24)}" for level in levels[:_MOST_NAMED]]
         title = clean(name_of(first, data.labels), 22)
-        look = {"title": title, "fontsize": 7, "title_fontsize": 7, "loc": "upper right"}
-        ax.legend(ax.lines[: len(named)], named, **look)
+        look: dict[str, Any] = {"title": title, "fontsize": 7, "title_fontsize": 7}
+        ax.legend(ax.lines[: len(named)], named, loc="upper right", **look)
         narrow = max(int(26 / len(across)), 6)
         ax.set_xticks(range(len(across)), [style.wrap(level, narrow, 24) for level in across])
         ax.tick_params(axis="x", labelsize=7, length=0)
@@ -231,8 +232,8 @@ def draw_interactions(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Ca
         ax.grid(axis="y")
     # legends stand above the lines: a line of one takes a ninth of the height
     low, high = axes[0].get_ylim()
-    names = max(min(len(data.factors[str(first)]), _MOST_NAMED) for first in frame["factor"])
-    axes[0].set_ylim(low, low + (high - low) / (1 - (names + 1) / 12))
+    levels_of = [len(data.factors[str(first)]) for first in frame["factor"]]
+    axes[0].set_ylim(low, low + (high - low) / (1 - (min(max(levels_of), _MOST_NAMED) + 1) / 12))
     figure.supylabel(style.labeled(facts.title, facts.unit))
     return figure
 
