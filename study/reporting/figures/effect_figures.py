@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations, repeat
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -37,12 +36,6 @@ from study.reporting.figures import axes as style
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
-
-#: how means are joined by lines
-_JOINED = {
-    "native_scale": True, "errorbar": None, "legend": False, "linewidth": 1.4,
-    "markeredgewidth": 1,
-}  # fmt: skip
 
 # Means of levels of every factor, beside the grand mean.
 
@@ -133,8 +126,6 @@ def cell_points(facts: Facts, data: ReportData) -> pd.DataFrame:
 
 def draw_cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw cells as rows: individual points, mean on top, thin lines pairing the blocks."""
-    import seaborn as sns
-
     number = int(frame["rank"].max()) + 1
     figure, ax = style.one_panel(0.8 + 0.24 * number)
     best = float(frame["cell_mean"].iloc[0])
@@ -145,17 +136,16 @@ def draw_cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
         style.above(ax, "as good as the best", best + sign * practical / 2)
     means = frame.drop_duplicates("rank")
     if "block" in frame and 0 < frame["block"].nunique() <= 40:
-        thin = {"color": style.MUTED, "alpha": 0.28, "linewidth": 0.5}
-        sns.lineplot(
-            frame, x="value", y="rank", units="block", estimator=None, sort=False, ax=ax, **thin
-        )
-    dots = {"color": "#56B4E9", "size": 3, "alpha": 0.8, "clip_on": False}
-    sns.stripplot(
-        frame, x="value", y="rank", orient="y", native_scale=True, jitter=False, zorder=2.5, ax=ax,
-        **dots,
+        for _, of_block in frame.groupby("block", sort=False):
+            x, y = of_block["value"], of_block["rank"]
+            ax.plot(x, y, color=style.MUTED, alpha=0.28, linewidth=0.5)
+    ax.scatter(
+        frame["value"], frame["rank"], s=9, color="#56B4E9", alpha=0.8, linewidths=0,
+        clip_on=False, zorder=2.5,
     )  # fmt: skip
-    diamonds = {"marker": "D", "color": style.INK, "s": 26, "linewidth": 0}
-    sns.scatterplot(means, x="cell_mean", y="rank", zorder=3, legend=False, ax=ax, **diamonds)
+    ax.scatter(
+        means["cell_mean"], means["rank"], s=26, marker="D", color=style.INK, linewidths=0, zorder=3
+    )
     for mean, rank in zip(means["cell_mean"], means["rank"], strict=True):
         style.at_right(ax, significant(float(mean)), float(rank))
     style.name_rows(ax, means["rank"], [style.wrap(label, 56, 130) for label in means["label"]])
@@ -200,31 +190,25 @@ def pair_means(facts: Facts, data: ReportData) -> pd.DataFrame:
 
 def draw_interactions(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw a panel a pair of factors: a line for each level of one over the levels of the other."""
-    import seaborn as sns
-
     pairs = list(frame.groupby(["factor", "other"], sort=False))
     figure, axes = style.panels(len(pairs), 3, 2.1, 0.3, sharey=True)
     for ax, (names, pair) in zip(axes, pairs, strict=True):
         first, second = map(str, names)
         levels, across = data.factors[first], data.factors[second]
-        numbers = range(len(levels))
-        sns.pointplot(
-            x=pair["other_level"].map({level: rank for rank, level in enumerate(across)}),
-            y=pair["mean"],
-            hue=pair["level"].map({level: number for number, level in enumerate(levels)}),
-            hue_order=numbers,
-            order=range(len(across)),
-            palette=[style.color_of(index) for index in numbers],
-            markers=[style.MARKERS[index % 8] for index in numbers],
-            linestyles=[style.DASHES[index % len(style.DASHES)] for index in numbers],
-            markersize=4,
-            ax=ax,
-            **_JOINED | {"native_scale": False},
-        )
+        for k, name in enumerate(levels):
+            means = pair[pair["level"] == name].set_index("other_level")["mean"]
+            ax.plot(
+                range(len(across)), means.reindex(list(across)), color=style.color_of(k),
+                marker=style.MARKERS[k % 8], linestyle=style.DASHES[k % len(style.DASHES)],
+                markersize=4, markeredgewidth=1,
+            )  # fmt: skip
+        ax.set_xlim(-0.5, len(across) - 0.5)
         named = [f" {clean(level, 24)}" for level in levels[:_MOST_NAMED]]
         title = clean(name_of(first, data.labels), 22)
-        look: dict[str, Any] = {"title": title, "fontsize": 7, "title_fontsize": 7}
-        ax.legend(ax.lines[: len(named)], named, loc="upper right", **look)
+        ax.legend(
+            ax.lines[: len(named)], named, loc="upper right", title=title, fontsize=7,
+            title_fontsize=7,
+        )  # fmt: skip
         narrow = max(int(26 / len(across)), 6)
         ax.set_xticks(range(len(across)), [style.wrap(level, narrow, 24) for level in across])
         ax.tick_params(axis="x", labelsize=7, length=0)
@@ -309,16 +293,13 @@ def against_limits(
                 rows.append(row | at | {"name": setting(simple, labels), "shown": size_there})
                 rows[-2]["verdict"] = ""  # the setting has it, the average has not
                 if is_brief:
-                    rows[-1]["name"] = f"{row['name']}, at {_levels(simple, labels)}"
+                    levels = [clean(level) for _, level in simple.at]
+                    where = setting(simple, labels)
+                    if all(any(map(str.isalpha, level)) for level in levels):
+                        where = f"at {', '.join(levels)}"  # words need no names of their factors
+                    rows[-1]["name"] = f"{row['name']}, {where}"
                     del rows[-2]
     return pd.DataFrame(rows)
-
-
-def _levels(simple: SimpleEffect, labels: Mapping[str, str]) -> str:
-    """Levels of a setting; with the names of their factors where one is a number."""
-    levels = [clean(level) for _, level in simple.at]
-    is_named = all(any(map(str.isalpha, level)) for level in levels)
-    return ", ".join(levels) if is_named else setting(simple, labels).removeprefix("at ")
 
 
 def _deciding_setting(effect: Effect) -> SimpleEffect | None:

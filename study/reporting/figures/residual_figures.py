@@ -291,8 +291,6 @@ def draw_residuals(
     facts: Facts, data: ReportData, points: pd.DataFrame, *, ordered: bool = False
 ) -> Canvas:
     """Draw views of the residuals; rows of a table have an order, runs have none."""
-    import seaborn as sns
-
     rows: list[HashableList[str]]
     rows = [["normal", "fits"], ["histogram", "order"], ["factors", "factors"]]
     if not ordered:
@@ -321,8 +319,7 @@ def draw_residuals(
     panels["fits"].set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
     bins = int(np.clip(np.ceil(1 + np.log2(len(points))), 4, 40))  # Sturges 1926
     look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
-    values = points["residual"].to_numpy(float)
-    sns.histplot(x=values, bins=bins, alpha=1, ax=panels["histogram"], **look)
+    panels["histogram"].hist(points["residual"].to_numpy(float), bins=bins, **look)
     panels["histogram"].set(title="histogram", xlabel=label, ylabel="rows")
     _against_factors(panels["factors"], shown, data, label)
     if ordered:
