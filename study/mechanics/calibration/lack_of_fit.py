@@ -765,7 +765,7 @@ def _step_of_one(recording: _Recording) -> tuple[str, float]:
     why = (
         f"{recording.label}: the force changes by {step.size_N:+.3g} N between rows {first + 1} "
         f"and {last + 1}, {d[first]:.4g} and {d[last]:.4g} mm, and stays there ({p_phrase(p)}), "
-        f"which moves {step.constant} by {step.percent:.2g} %: the specimen {cause}: write the "
+        f"which moves {step.constant} by {step.percent:.2g} %: the specimen {cause}: fit only the "
         f"range before it{mend}"
     )
     return why, explained

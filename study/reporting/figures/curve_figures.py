@@ -372,7 +372,7 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
     )
     handles: list[Line2D | Patch] = [points]
     if panels.frame["scatter_N"].notna().any():
-        handles.append(Patch(color=SCATTER, label="sd of the repeats"))
+        handles.append(Patch(color=SCATTER, label="sd of repeats"))
     drawn = set(panels.frame["line"])
     names = [(k, name) for k, name in enumerate(data.factors[panels.line]) if name in drawn]
     handles += [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
