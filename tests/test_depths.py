@@ -68,10 +68,10 @@ def test_the_page_draws_it(outcome):
 
     data = replace(report_data(outcome), depths=depths_of(outcome))
     page = build(data)
-    assert "A second look" in page
+    assert "Effects against the depth of the test" in page
     assert "f-relative-rms-force-error-depth" in page
     assert "was not drawn" not in page
-    assert "A second look" not in build(replace(data, depths=()))
+    assert "Effects against the depth of the test" not in build(replace(data, depths=()))
 
 
 def test_verdicts_are_held_against_the_numerical_uncertainty(outcome, monkeypatch):

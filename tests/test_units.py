@@ -112,3 +112,9 @@ def test_common_units_do_not_load_pint():
         [sys.executable, "-c", code + "; sys.exit('pint' in sys.modules)"], check=False
     )
     assert done.returncode == 0
+
+
+def test_a_ratio_has_no_exponent_below_a_million():
+    assert [units.times(ratio) for ratio in (0.4564, 12.0, 999.6, 1234.0)] == [
+        "0.456 times", "12 times", "1,000 times", "1,230 times",
+    ]  # fmt: skip

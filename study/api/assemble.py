@@ -509,11 +509,11 @@ def _checks_of_fits(
     if bad or doubtful:
         first = (bad or doubtful)[0]
         name = names[first["key"]]
-        use = f"check {count(len(doubtful), 'doubtful fit')}{name and f', for example {name}'}"
+        use = f"check {count(len(doubtful), 'doubtful fit')}"
         if bad:
             missed = f"{count(len(bad), 'fit')} that missed the data"
             use = f"use no constant of {missed}{name and f', such as {name}'}"
-        counts = [f"{len(fits) - len(bad) - len(doubtful)} {of} describe their rows"]
+        counts = [f"{len(fits) - len(bad) - len(doubtful)} {of} describe their data"]
         counts += [count(len(doubtful), "is doubtful", "are doubtful")] * bool(doubtful)
         counts += [count(len(bad), "does not", "do not")] * bool(bad)
         # the counts hold the verdict: reasons of two kinds follow, of several for every curve

@@ -273,6 +273,11 @@ def listed(names: str | Sequence[str] | None) -> list[str]:
     return [name.strip() for name in each if name.strip()]
 
 
+def times(ratio: float, digits: int = 3) -> str:
+    """Write ``1,230 times`` to some digits, without an exponent below a million."""
+    return f"{float(f'{ratio:.{digits}g}'):,.6g} times"
+
+
 def written_p(p: float) -> str:
     """Write a p-value: three decimals, no leading zero, bounds at the ends."""
     if p < 0.0005:

@@ -22,7 +22,7 @@ from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.files import write_atomic, write_new
 from study.ground.tabular import csv_text
-from study.ground.units import parse
+from study.ground.units import parse, times
 from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, unit_shown
@@ -201,7 +201,7 @@ def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> Model
         coarsest = height / _ALONG if setup.kind.compresses else 0.0
         half = half_width(setup.specimen)
         if half is not None and coarsest > _SLENDEREST * half:
-            rule = f"{height:g} mm is {height / half:.3g} times half the width ({half:.3g} mm)"
+            rule = f"{height:g} mm is {times(height / half)} half the width ({half:.3g} mm)"
             raise InputError(Fault("specimen.height", rule, "check the units of both"))
         if coarsest > mesh_size(replace(setup, model=model)):
             return replace(model, mesh_size_mm=coarsest)

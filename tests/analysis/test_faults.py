@@ -55,14 +55,14 @@ def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported():
     table = factorial({"a": 3}, 3, 1)
     table.loc[table["a"] == "L1", "y"] = 1.0
     result = anova(table, "y", ["a"], exact=False)
-    assert "bartlett and levene: not applicable: group L1 has zero variance" in result.notes
+    assert "bartlett and levene: not applied, because group L1 has zero variance" in result.notes
     assert any("zero spread (ties)" in w for w in result.notes)
     assert result.to_json()["variance"]["bartlett"] is None
     assert result.anova.row("a").f is not None
     assert result.assumptions.normality is not None
     lone = pd.concat([factorial({"a": 3}, 3, 1), pd.DataFrame([{"a": "L9", "y": 9.0}])])
     result = anova(lone, "y", ["a"], exact=False)
-    assert "bartlett and levene: not applicable: group L9 has one value" in result.notes
+    assert "bartlett and levene: not applied, because group L9 has one value" in result.notes
     assert levene([[1.0, 2.0, 3.0], [4.0]]).reason.startswith("group 2 has one value")
 
 

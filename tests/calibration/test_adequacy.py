@@ -293,7 +293,7 @@ def test_a_specimen_that_slips_several_times_is_none_of_misread_rows(tmp_path, m
     told = calibrated(tmp_path, read, more=more)
     assert told.verdict == "doubtful"
     assert "between rows 26 and 27, 5 and 5.2 mm; rows 36 and 37, 7 and 7.2 mm" in told.sentence
-    assert "write the range before the first" in told.sentence
+    assert "fit only the range before the first" in told.sentence
     assert "misread" not in told.sentence
 
 
@@ -312,7 +312,7 @@ def test_a_force_that_goes_to_another_level_is_told(tmp_path, fault, noise):
     for seed in range(3):
         told = calibrated(tmp_path, read + np.random.default_rng(seed).normal(0, noise, RAMP.size))
         assert told.verdict == ("describes" if fault == "nothing" else "doubtful")
-        assert ("write the range before it" in told.sentence) == (fault != "nothing")
+        assert ("fit only the range before it" in told.sentence) == (fault != "nothing")
 
 
 @pytest.mark.parametrize("loss", ["linear", "soft-l1"])
@@ -440,7 +440,7 @@ energy = ["first", "second"]
     ran = study.run(
         tmp_path / "unit.toml", data=tmp_path, results=tmp_path / "r", reports=None, jobs=1
     )
-    (line,) = [one for one in ran.answers if "calibrations describe their rows" in one]
+    (line,) = [one for one in ran.answers if "calibrations describe their data" in one]
     assert "specimen S3: its forces are" in line
     assert "curve " not in line
     assert re.search(r"6 are doubtful, for example that of \w+, all but specimen S[124]: ", line)

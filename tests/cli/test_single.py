@@ -99,7 +99,7 @@ def test_solve_that_does_not_converge_exits_1_and_without_a_step_writes_no_field
         ("converge --values 3.64,3.16,3.04 --sizes 10,20,40", "numbers of elements", "GCI 0."),
         ("converge --values 3,2,1 --sizes 1,2,4", "do not shrink", "numbers of elements"),
         ("converge --values 5,5,5 --sizes 1,2,4", "state with --tolerance", "numbers of elements"),
-        ("converge --values 5,5,5 --sizes 1,2,4 --tolerance .05", "+- 0.05", "warning"),
+        ("converge --values 5,5,5 --sizes 1,2,4 --tolerance .05", " 0.0500", "warning"),
     ],
 )  # fmt: skip
 @pytest.mark.usefixtures("home")

@@ -9,6 +9,7 @@ import pytest
 
 import study
 from study import analyze
+from study.reporting.output import write
 from tests.cli.small import CSV, DESIGN, success, write_files
 from tests.reporting.example import data_alone, words_of
 
@@ -108,6 +109,8 @@ SHOWN = {
         "",
     ),
     "simulation": ("solve problem.toml", lambda: study.solve("problem.toml"), ""),
+    # the page draws the solutions that the other two list
+    "convergence": ("converge problem.toml", lambda: study.converge("problem.toml"), ""),
 }
 NUMBER = re.compile(
     r"(?<![\w.])[\N{MINUS SIGN}-]?\d*\.\d+(?:e[\N{MINUS SIGN}-]?\d+)?|\d+e\N{MINUS SIGN}\d+"
@@ -136,3 +139,32 @@ def test_a_notebook_shows_the_numbers_of_terminal_and_page(tmp_path, monkeypatch
         media["page"] = " ".join(map(words_of, pages))
     for medium, text in media.items():
         assert not set(notebook) - set(numbers_of(text)), medium
+
+
+def test_a_convergence_has_equal_numbers_in_six_media(tmp_path, monkeypatch):
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with data_alone():
+        terminal = success("converge", "problem.toml").out
+        document = json.loads(success("converge", "problem.toml", "--json").out)
+    result = study.converge("problem.toml")
+    stem = Path("reports/problem/problem-convergence")
+    page = words_of(stem.with_suffix(".html").read_text("utf-8"))
+    (table,) = [block for block in result.blocks() if getattr(block, "name", "") == "quantities"]
+    latex = write.table(table, "quantities", "quantities")
+    for row in table.rows:
+        cells = [cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row]
+        texts = {"page": page, "terminal": terminal, "notebook": words_of(result._repr_html_()),
+                 "prompt": repr(result)}  # fmt: skip
+        for medium, text in texts.items():
+            shown = re.sub(r"\s+", " ", text)
+            assert all(cell in shown for cell in cells), (medium, cells)
+        assert all(write.escape(cell) in latex for cell in row)
+    stored = csv.DictReader(
+        Path(f"{stem}-data", "table-series.csv").read_text("utf-8").splitlines()
+    )
+    for row in stored:
+        of = document["quantities"][row["quantity"]]
+        for key in ("u_num", "extrapolated", "observed_order", "formal_order", "gci_fine"):
+            assert (float(row[key]) if row[key] else None) == of[key], key
+        assert float(row["finest_value"]) == of["value"][0]

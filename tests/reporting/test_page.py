@@ -36,7 +36,7 @@ from tests.reporting.example import (
     words_of,
 )
 
-FIRST = ["answer", "effects", "card", "curves", "recommendation"]
+FIRST = ["answer", "effects", "curves", "card", "recommendation"]
 SECTIONS = (
     "answer study checks numerics error r-relative-rms-force-error r-mu0 assumptions curves "
     "constants failures cost methods provenance glossary"
@@ -168,8 +168,8 @@ def test_a_claim_that_hangs_on_one_block_says_so_in_the_answer(data):
 
 def test_the_answer_has_five_sentences_at_most():
     lines = study_page.in_few(["A. B.", "", "C. D. E. F.", "G.", "H. I."])
-    assert lines == ("A. B.", "G.", "H. I.")
-    assert study_page.in_few(["A. B. C. D. E. F."]) == ("A. B. C. D. E.",)
+    assert lines == ("A.", "B.", "G.", "H. I.")
+    assert study_page.in_few(["A. B. C. D. E. F."]) == ("A.", "B. C. D. E.")
 
 
 def test_the_card_says_what_each_check_means(data):

@@ -78,7 +78,7 @@ def test_practical_difference_decides_ranges(tmp_path):
     assert high - low == pytest.approx(first["range"], abs=first["range_bound"])
     text = " ".join(analyze(path, "x1,x2", "--practical", "2").out.split())
     assert "matters, if confirmed" in text
-    assert "That x1 matters is claimed once these two were run: x1 " in text
+    assert "x1 matters if these two runs confirm it: x1 " in text
 
 
 def test_a_quadratic_in_blocks_is_judged_by_the_blocks(tmp_path):

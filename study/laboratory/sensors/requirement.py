@@ -19,6 +19,7 @@ from study.execution.local import Executor, Inline, Loky, Results, Task
 from study.ground.arrays import Array
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, RefusedError
+from study.ground.units import times
 from study.laboratory.sensors.force_model import (
     ForceAccuracy,
     ForceAt,
@@ -499,9 +500,9 @@ class SensorRequirement(Keyed):
     def sentences(self) -> list[str]:
         """Say how well every modulus is known, what that needs, and where first order holds."""
         worst, k = self.propagation.worst, self.coverage
-        times = f"{self.needed_multiple:.3g} times as large"
+        larger = f"{times(self.needed_multiple)} as large"
         needed = (
-            f"is met; all errors could be {times}" if self.is_met else f"needs all errors {times}"
+            f"is met; all errors could be {larger}" if self.is_met else f"needs all errors {larger}"
         )
         force = self.propagation.force.relative
         return [

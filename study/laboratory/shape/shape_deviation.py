@@ -12,7 +12,7 @@ from study.ground.arrays import Array
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.tabular import read_csv
-from study.ground.units import unit_factor
+from study.ground.units import times, unit_factor
 from study.laboratory.registration.iterative_closest_point import (
     Registration,
     TriangleSurface,
@@ -234,7 +234,7 @@ def _check_size(surface: TriangleSurface, scan: Scan, distance: float) -> None:
     scaled, _ = coarse_registration(surface, scan.points / ratio)
     if scaled < CLEARLY_BETTER * distance / ratio and scaled < SAME_SHAPE * surface.size:
         rule = (
-            f"is the body {ratio:.3g} times as large: scaled it lies {scaled:.3g} mm from the "
+            f"is the body {times(ratio)} as large: scaled it lies {scaled:.3g} mm from the "
             f"surface, as it is {distance:.3g}"
         )
         raise InputError(Fault(f"--scan: {scan.source}", rule, "check --unit, and the specimen"))

@@ -18,7 +18,7 @@ from study.ground.arrays import Array
 from study.ground.canonical import Keyed
 from study.ground.errors import Fault, InputError, settled
 from study.ground.tabular import CsvTable, read_csv
-from study.ground.units import unit_factor
+from study.ground.units import times, unit_factor
 from study.laboratory.registration.rigid import (
     FEWEST_POINTS,
     DemingLine,
@@ -108,7 +108,7 @@ def analyze_displacement(
     line = deming_line(steps, measured, _ratio(declared, repeat, steps, measured), alpha,
                        "displacement")  # fmt: skip
     if not 1 / UNIT_RATIO < line.scale < UNIT_RATIO:
-        rule = f"measured is {line.scale:.4g} times commanded displacement: another unit"
+        rule = f"measured is {times(line.scale, 4)} commanded displacement: another unit"
         mend = "compare [recording] unit and [displacement] unit"
         raise InputError(Fault("displacement.unit", rule, mend))
     spread = line.residual_sd if repeat is None else repeat
@@ -547,7 +547,7 @@ def analyze_reference(
     fit = fit_pairs(moving, fixed, "reference")
     ratio = _extent(fixed) / _extent(moving)
     if not 1 / FRAME_UNIT_RATIO < ratio < FRAME_UNIT_RATIO:
-        rule = f"the reference's poses are {ratio:.4g} times as far apart as the tracker's"
+        rule = f"the reference's poses are {times(ratio, 4)} as far apart as the tracker's"
         mend = 'one unit is wrong: a factor near 1000 means "m" where "mm" is written'
         raise InputError(Fault("reference.unit", rule, mend))
     if fit.is_mirrored and fit.rms > UNPAIRED_SHARE * _extent(fixed):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.ground.arrays import Array, Flags
+from study.ground.units import times
 
 #: V39: a warning is due above these
 CAUTION_CORRELATION = 0.95
@@ -165,4 +166,4 @@ def _widest(names: Sequence[str], values: Array, estimate: Uncertainty) -> str:
     worst = int(np.argmax(np.nan_to_num(ratio)))
     if not ratio[worst] > 2:
         return ""
-    return f"the 95 % interval of {names[worst]} is {ratio[worst]:.3g} times as wide as its value"
+    return f"the 95 % interval of {names[worst]} is {times(ratio[worst])} as wide as its value"

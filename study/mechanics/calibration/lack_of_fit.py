@@ -21,7 +21,7 @@ from study.ground.canonical import Keyed
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.noncentral_f import noncentral_f_sf
-from study.ground.units import p_phrase
+from study.ground.units import p_phrase, times
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.fit_influence import recorded_rows
 from study.mechanics.calibration.residual_function import MeasuredCurve
@@ -402,7 +402,7 @@ def apart(scales: Mapping[str, float], most: float) -> list[_Finding]:
     limit = np.maximum(math.log(most), np.minimum(_BEYOND_OTHERS * scatter, excused))
     mend = "check units, sign and specimen of its rows, or leave it out"
     return [
-        (1, f"{label}: its forces are {size / usual:.2g} times the others': {mend}", ())
+        (1, f"{label}: its forces are {times(size / usual, 2)} the others': {mend}", ())
         for label, size, is_off in zip(scales, sizes, np.abs(logarithms) > limit, strict=True)
         if is_off
     ]
@@ -480,7 +480,7 @@ def _of_rows(recording: _Recording) -> Iterator[_Finding]:
         most, first = ("", "it") if len(steps) == 1 else ("up to ", "the first")
         why = (
             f"{recording.label}: the force jumps by {most}{jumps.max():.3g} N between {where}: "
-            f"the specimen slipped or tore there: write the range before {first}"
+            f"the specimen slipped or tore there: fit only the range before {first}"
         )
         yield 1, why, rows
         return
@@ -542,9 +542,9 @@ def _of_trend(groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
             continue
         grade = 2 if p < _CLEARER and share > _TREND else 1
         why = (
-            f"{_labels(group)}: the residuals follow a line of {100 * share:.2g} % of the RMS "
-            f"force that is neither noise nor drift ({p_phrase(p)}): take another energy, or a "
-            "shorter range"
+            f"{_labels(group)}: the residuals have a trend of {100 * share:.2g} % of the RMS "
+            f"force, beyond noise and drift ({p_phrase(p)}): take another energy, or a shorter "
+            "range"
         )
         out.append((grade, why, ()))
     # each direction of a biaxial test has a load cell of its own
@@ -770,7 +770,7 @@ def _step_of_one(recording: _Recording) -> tuple[str, float]:
     why = (
         f"{recording.label}: the force changes by {step.size_N:+.3g} N between rows {first + 1} "
         f"and {last + 1}, {d[first]:.4g} and {d[last]:.4g} mm, and stays there ({p_phrase(p)}), "
-        f"which moves {step.constant} by {step.percent:.2g} %: the specimen {cause}: write the "
+        f"which moves {step.constant} by {step.percent:.2g} %: the specimen {cause}: fit only the "
         f"range before it{mend}"
     )
     return why, explained

@@ -335,8 +335,8 @@ class MeasurementSpec:
     decimal: Annotated[str, Reads(choice(".", ","))] = "."
     #: Printed in the report.
     citation: Annotated[str, Reads(text)] = ""
-    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
-    #: is no plain CSV.
+    #: Lines before the header, comment mark, and what parts the cells of a file that is no plain
+    #: CSV.
     skip_lines: Annotated[int, Reads(integer(0, MAX_SKIPPED))] = 0
     comment: Annotated[str, Reads(_mark)] = ""
     delimiter: Annotated[str, Reads(choice("", *DELIMITERS))] = ""

@@ -686,5 +686,5 @@ def _resolution(facts: Facts, data: ReportData, bounded: int) -> Check:
     unclear = listing([names[e.term] for e in open_ones])
     finding = f"{refined} error is too large to judge {unclear}"
     finding += "; the measurements alone would suffice" * data.is_measured
-    below = f"Refine: {refined} error would have to be {listing(needed)}."
+    below = f"Refine until the {refined} error is {listing(needed)}."
     return Check(name, "caution", finding, below if needed else f"Refine the {refined}.")

@@ -444,7 +444,7 @@ def surface_blocks(
         yield screening(fit, data)
         return
     confirm = [
-        f"That {name_of(item.factor, data.labels)} matters is claimed once these two were run: "
+        f"{name_of(item.factor, data.labels)} matters if these two runs confirm it: "
         f"{' and '.join(settings(at, fit, data) for at in item.confirm)}."
         for item in surface.sensitivity
         if item.confirm

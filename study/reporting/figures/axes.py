@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 #: width of a figure, inches
 WIDTH_IN = 9.6
+#: width of a figure of the first page, where two stand beside each other or fill a phone
+HALF_IN = 5.0
 
 
 def labeled(words: str, unit: str | None) -> str:
@@ -256,7 +258,11 @@ def _inline(text: str, name: str, title: str) -> str:
                 del element.attrib["transform"]
     for dimension in ("width", "height"):
         root.attrib.pop(dimension, None)
-    root.attrib.update({"role": "img", "aria-label": title})
+    # a narrow drawing does not fill a wide page, a wide one keeps its letters on a phone
+    points = float(root.attrib["viewBox"].split()[2])
+    root.attrib["style"] = f"max-width: {1.75 * points:.0f}px; --least: {0.95 * points:.0f}px"
+    # for a drawing opened by itself; in a page, its style sheet chooses
+    root.attrib.update({"role": "img", "aria-label": title, "font-family": "Arial, sans-serif"})
     return ElementTree.tostring(root, encoding="unicode")
 
 

@@ -344,12 +344,16 @@ def _samples(pair: CurvePair, line: str, panel: str) -> list[tuple[str | float, 
 LONGEST_TITLE = 72
 #: Width of one character of a title in inches: 7.5 pt, 0.6 em wide.
 CHARACTER_IN = 0.6 * 7.5 / 72
-#: Inches of a row: a line of the title or the legend, the force axis, the residual axis.
+#: Inches of a line of the title or the legend, of the displacements below all panels.
 LINE_IN = 0.15
-FORCE_IN = 1.0
-RESIDUAL_IN = 0.65
-#: Levels of the factor drawn as lines that stand beside each other in the legend.
-NAMES_IN_ROW = 5
+BELOW_IN = 0.44
+#: Inches of the axes of one of many panels, and of the whole figure of the first page.
+MANY_IN = 1.65
+FEW_IN = 3.46
+#: Part of the axes that force has; the residual has the rest.
+FORCE_PART = 0.62
+#: Inches of a column of the legend.
+NAME_IN = 1.66
 
 
 def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> Canvas:
@@ -358,26 +362,29 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
     Axes are placed in inches: to measure the text of 48 of them takes a layout engine seconds.
     """
     number, levels = len(panels.panels), len(data.factors[panels.panel]) if panels.panel else 1
-    columns = min(max(levels, (4 // levels) * levels), number)
-    rows = -(-number // columns)
-    titles = panel_titles(panels, style.WIDTH_IN / columns, data)
+    is_few = number <= MOST_COLUMNS  # those of the first page
+    columns = min(2 if is_few else max(levels, (4 // levels) * levels), number)
+    width = style.HALF_IN if is_few else style.WIDTH_IN
+    rows, names_in_row = -(-number // columns), int(width / NAME_IN)
+    titles = panel_titles(panels, width / columns, data)
     points = Line2D(
         [], [], color=style.INK, marker="o", markersize=3, linestyle="none", label="measured"
     )
     handles: list[Line2D | Patch] = [points]
     if panels.frame["scatter_N"].notna().any():
-        handles.append(Patch(color=SCATTER, label="standard deviation of the repeats"))
+        handles.append(Patch(color=SCATTER, label="sd of repeats"))
     drawn = set(panels.frame["line"])
     names = [(k, name) for k, name in enumerate(data.factors[panels.line]) if name in drawn]
     handles += [Line2D([], [], label=clean(name, 24), **_look_of(k)) for k, name in names]
     title_in = 0.14 + LINE_IN * max(title.count("\n") + 1 for title in titles)
-    top_in = 0.05 + 1.3 * LINE_IN * -(-len(handles) // NAMES_IN_ROW)
-    height = 0.5 + top_in + rows * (title_in + FORCE_IN + RESIDUAL_IN)
-    figure = style.canvas(height, arranged=False)
+    top_in = 0.02 + 1.2 * LINE_IN * -(-len(handles) // names_in_row)
+    row_in = (FEW_IN - BELOW_IN - top_in) / rows - title_in if is_few else MANY_IN
+    height = BELOW_IN + top_in + rows * (title_in + row_in)
+    figure = style.canvas(height, width, arranged=False)
     grid = figure.add_gridspec(
-        3 * rows, columns, left=0.62 / style.WIDTH_IN, right=0.99, top=1 - top_in / height,
-        bottom=0.5 / height, wspace=0.1, hspace=0.06,
-        height_ratios=(title_in, FORCE_IN, RESIDUAL_IN) * rows,
+        3 * rows, columns, left=0.62 / width, right=0.99, top=1 - top_in / height,
+        bottom=BELOW_IN / height, wspace=0.1, hspace=0.06,
+        height_ratios=(title_in, FORCE_PART * row_in, (1 - FORCE_PART) * row_in) * rows,
     )  # fmt: skip
     frame = panels.shown
     gap = (frame["predicted_N"] - frame["measured_N"]).abs()
@@ -395,19 +402,21 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
         residual.set_ylim(-wide, wide)
         if column == 0:
             unit = "%" if panels.is_relative else "N"
-            force.set_ylabel(f"force ({unit})")
-            residual.set_ylabel(f"resid. ({unit})")
+            force.set_ylabel(f"force ({unit})", fontsize=6.5 if is_few else 8.5)
+            residual.set_ylabel(f"resid. ({unit})", fontsize=6.5 if is_few else 8.5)
         for ax in (force, residual):
-            ax.locator_params(axis="y", nbins=4 if ax is force else 3)
+            # the zero of force would touch the highest residual
+            nbins, prune = (4, "lower") if ax is force else (3, None)
+            ax.locator_params(axis="y", nbins=nbins, prune=prune)
             ax.locator_params(axis="x", nbins=4)
             ax.grid(axis="y")
             # numbers at the outer axes hold for all panels of a row or a column
             is_lowest = ax is residual and index + columns >= number
             ax.tick_params(labelleft=column == 0, labelbottom=is_lowest)
-    figure.text(0.5, 0.08 / height, "displacement (mm)", ha="center", fontsize=8.5)
-    corner = (0.5 / style.WIDTH_IN, 1.0)
+    figure.text(0.5, 0.06 / height, "displacement (mm)", ha="center", fontsize=8.5)
+    corner = (0.5 / width, 1.0)
     figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=NAMES_IN_ROW,
+        handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=names_in_row,
         borderaxespad=0.2, columnspacing=1.4,
     )  # fmt: skip
     return figure

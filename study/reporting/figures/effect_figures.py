@@ -37,12 +37,6 @@ from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
-#: how means are joined by lines
-_JOINED = {
-    "native_scale": True, "errorbar": None, "legend": False, "linewidth": 1.4,
-    "markeredgewidth": 1,
-}  # fmt: skip
-
 # Means of levels of every factor, beside the grand mean.
 
 
@@ -132,8 +126,6 @@ def cell_points(facts: Facts, data: ReportData) -> pd.DataFrame:
 
 def draw_cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw cells as rows: individual points, mean on top, thin lines pairing the blocks."""
-    import seaborn as sns
-
     number = int(frame["rank"].max()) + 1
     figure, ax = style.one_panel(0.8 + 0.24 * number)
     best = float(frame["cell_mean"].iloc[0])
@@ -144,17 +136,16 @@ def draw_cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
         style.above(ax, "as good as the best", best + sign * practical / 2)
     means = frame.drop_duplicates("rank")
     if "block" in frame and 0 < frame["block"].nunique() <= 40:
-        thin = {"color": style.MUTED, "alpha": 0.28, "linewidth": 0.5}
-        sns.lineplot(
-            frame, x="value", y="rank", units="block", estimator=None, sort=False, ax=ax, **thin
-        )
-    dots = {"color": "#56B4E9", "size": 3, "alpha": 0.8, "clip_on": False}
-    sns.stripplot(
-        frame, x="value", y="rank", orient="y", native_scale=True, jitter=False, zorder=2.5, ax=ax,
-        **dots,
+        for _, of_block in frame.groupby("block", sort=False):
+            x, y = of_block["value"], of_block["rank"]
+            ax.plot(x, y, color=style.MUTED, alpha=0.28, linewidth=0.5)
+    ax.scatter(
+        frame["value"], frame["rank"], s=9, color="#56B4E9", alpha=0.8, linewidths=0,
+        clip_on=False, zorder=2.5,
     )  # fmt: skip
-    diamonds = {"marker": "D", "color": style.INK, "s": 26, "linewidth": 0}
-    sns.scatterplot(means, x="cell_mean", y="rank", zorder=3, legend=False, ax=ax, **diamonds)
+    ax.scatter(
+        means["cell_mean"], means["rank"], s=26, marker="D", color=style.INK, linewidths=0, zorder=3
+    )
     for mean, rank in zip(means["cell_mean"], means["rank"], strict=True):
         style.at_right(ax, significant(float(mean)), float(rank))
     style.name_rows(ax, means["rank"], [style.wrap(label, 56, 130) for label in means["label"]])
@@ -199,35 +190,34 @@ def pair_means(facts: Facts, data: ReportData) -> pd.DataFrame:
 
 def draw_interactions(facts: Facts, data: ReportData, frame: pd.DataFrame) -> Canvas:
     """Draw a panel a pair of factors: a line for each level of one over the levels of the other."""
-    import seaborn as sns
-
     pairs = list(frame.groupby(["factor", "other"], sort=False))
     figure, axes = style.panels(len(pairs), 3, 2.1, 0.3, sharey=True)
     for ax, (names, pair) in zip(axes, pairs, strict=True):
         first, second = map(str, names)
         levels, across = data.factors[first], data.factors[second]
-        numbers = range(len(levels))
-        sns.pointplot(
-            x=pair["other_level"].map({level: rank for rank, level in enumerate(across)}),
-            y=pair["mean"],
-            hue=pair["level"].map({level: number for number, level in enumerate(levels)}),
-            hue_order=numbers,
-            order=range(len(across)),
-            palette=[style.color_of(index) for index in numbers],
-            markers=[style.MARKERS[index % 8] for index in numbers],
-            linestyles=[style.DASHES[index % len(style.DASHES)] for index in numbers],
-            markersize=4,
-            ax=ax,
-            **_JOINED | {"native_scale": False},
-        )
+        for k, name in enumerate(levels):
+            means = pair[pair["level"] == name].set_index("other_level")["mean"]
+            ax.plot(
+                range(len(across)), means.reindex(list(across)), color=style.color_of(k),
+                marker=style.MARKERS[k % 8], linestyle=style.DASHES[k % len(style.DASHES)],
+                markersize=4, markeredgewidth=1,
+            )  # fmt: skip
+        ax.set_xlim(-0.5, len(across) - 0.5)
         named = [f" {clean(level, 24)}" for level in levels[:_MOST_NAMED]]
         title = clean(name_of(first, data.labels), 22)
-        ax.legend(ax.lines[: len(named)], named, title=title, fontsize=7, title_fontsize=7)
+        ax.legend(
+            ax.lines[: len(named)], named, loc="upper right", title=title, fontsize=7,
+            title_fontsize=7,
+        )  # fmt: skip
         narrow = max(int(26 / len(across)), 6)
         ax.set_xticks(range(len(across)), [style.wrap(level, narrow, 24) for level in across])
         ax.tick_params(axis="x", labelsize=7, length=0)
         ax.set(xlabel=clean(name_of(second, data.labels), 30), ylabel="")
         ax.grid(axis="y")
+    # legends stand above the lines: a line of one takes a ninth of the height
+    low, high = axes[0].get_ylim()
+    levels_of = [len(data.factors[str(first)]) for first in frame["factor"]]
+    axes[0].set_ylim(low, low + (high - low) / (1 - (min(max(levels_of), _MOST_NAMED) + 1) / 12))
     figure.supylabel(style.labeled(facts.title, facts.unit))
     return figure
 
@@ -253,6 +243,10 @@ _VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
 #: marker of each verdict, so that it is not told by its color alone; hollow where nothing is shown
 _VERDICT_MARKER = {MATTERS: "o", NO_DIFFERENCE: "s"}
 _WORD_COLOR = {MATTERS: style.WORDS[1], NO_DIFFERENCE: style.WORDS[2]}
+#: inches of a line of words, of the interval below it, and characters of such a line
+_LINE_IN = 0.135
+_BAR_IN = 0.15
+_CHARACTERS = 86
 #: interactions of a response that are drawn
 _MOST_INTERACTIONS = 3
 #: multiples of what matters up to which an axis is drawn to one scale
@@ -268,8 +262,14 @@ def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
     return style.shown(lambda: draw_against_limits(frame, [facts]), "effects", title)
 
 
-def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.DataFrame:
-    """Largest difference of every term over the smallest that matters, ratios on the log."""
+def against_limits(
+    all_facts: Sequence[Facts], labels: Mapping[str, str], *, is_brief: bool = False
+) -> pd.DataFrame:
+    """Largest difference of every term over the smallest that matters, ratios on the log.
+
+    A term whose verdict is that of one setting has a row for it below its average; a brief figure
+    leaves the average out.
+    """
     rows = []
     for facts in all_facts:
         strong = [e for e in facts.interactions if e.strength == MATTERS or e.practical is None]
@@ -292,6 +292,13 @@ def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.
                 size_there = shown_difference(apart(simple.difference, effect), effect, facts)
                 rows.append(row | at | {"name": setting(simple, labels), "shown": size_there})
                 rows[-2]["verdict"] = ""  # the setting has it, the average has not
+                if is_brief:
+                    levels = [clean(level) for _, level in simple.at]
+                    where = setting(simple, labels)
+                    if all(any(map(str.isalpha, level)) for level in levels):
+                        where = f"at {', '.join(levels)}"  # words need no names of their factors
+                    rows[-1]["name"] = f"{row['name']}, {where}"
+                    del rows[-2]
     return pd.DataFrame(rows)
 
 
@@ -319,48 +326,57 @@ def _multiples(values: Sequence[float | None], u: float | None, effect: Effect) 
 
 
 def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canvas:
-    """Draw a row a term, the responses below each other, on the band of what does not matter."""
-    several = len(all_facts) > 1
-    # above the rows of a response stands its name, where there are several
-    group = frame.groupby("response", sort=False).ngroup().to_numpy()
-    places = (np.arange(len(frame)) + (group + 1 if several else 0)).tolist()
-    firsts = np.flatnonzero(np.diff(group, prepend=-1)) if several else ()
-    heads = [(places[k] - 1, str(frame["response"].iloc[k])) for k in firsts]
-    height = max(places) + 1
-    figure, ax = style.one_panel(0.75 + 0.25 * height)
+    """Draw a row a term, the responses below each other, on the band of what does not matter.
+
+    Names and sizes stand above their intervals, so that the figure is read on half a page.
+    """
+    several, by_name = len(all_facts) > 1, {facts.name: facts for facts in all_facts}
+    rows, lines, places, height = [], [], [], 0.0
+    for k, (response, name, verdict, shown) in enumerate(
+        frame[["response", "name", "verdict", "shown"]].itertuples(index=False)
+    ):
+        if several and (not k or response != frame["response"].iloc[k - 1]):
+            height += 0.5 * _LINE_IN if k else 0.0
+            lines.append((height, clean(by_name[response].title, 60), "", "bold"))
+            height += 1.3 * _LINE_IN
+        words = f"{verdict}:  {shown}" if verdict else shown
+        named = style.wrap(name, max(_CHARACTERS - len(words), 24), 80)
+        lines.append((height, named, words, "normal"))
+        height += _LINE_IN * (named.count("\n") + 1)
+        places.append(height + 0.25 * _BAR_IN)
+        rows.append(verdict)
+        height += _BAR_IN
+    # placed in inches: a layout engine would measure every word twice
+    figure = style.canvas(0.65 + height, style.HALF_IN, arranged=False)
+    ax = figure.add_axes((0.01, 0.48 / (0.65 + height), 0.98, height / (0.65 + height)))
     limited = bool(frame["limited"].all())
     if limited:
         ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)
-        top = ax.get_xaxis_transform()
-        look = {"ha": "center", "color": style.MUTED, "xycoords": top}
-        style.note(ax, "too small to matter", (0, 1.0), (0, 3), **look)
-    ax.axvline(0, color=style.MUTED, linewidth=0.7)
-    at, verdicts = np.asarray(places), [str(verdict) for verdict in frame["verdict"]]
-    colors = [_VERDICT_COLOR.get(verdict, style.MUTED) for verdict in verdicts]
+        style.above(ax, "too small to matter", 0.0)
+    colors = [_VERDICT_COLOR.get(verdict, style.MUTED) for verdict in rows]
     low, high, bound, size_of = (
         frame[name].to_numpy(float) for name in ("low", "high", "bound", "difference")
     )
     # without an interval there is still the mesh error about the difference itself
     low, high = np.where(np.isnan(low), size_of, low), np.where(np.isnan(high), size_of, high)
-    ax.hlines(at, low - bound, high + bound, colors=colors, linewidth=0.8)
-    ax.hlines(at, low, high, colors=colors, linewidth=2.6)
-    for y, verdict, color, x in zip(places, verdicts, colors, size_of.tolist(), strict=True):
+    ax.hlines(places, low - bound, high + bound, colors=colors, linewidth=0.8)
+    ax.hlines(places, low, high, colors=colors, linewidth=2.6)
+    at = np.asarray(places)  # the line of no difference leaves out the words
+    ax.vlines(np.zeros(at.size), at - 0.05, at + 0.05, color=style.MUTED, lw=0.7, zorder=0.5)
+    for y, verdict, color, x in zip(places, rows, colors, size_of.tolist(), strict=True):
         face = color if verdict in _VERDICT_MARKER else "white"
         ax.plot(
             [x], [y], _VERDICT_MARKER.get(verdict, "o"), color=color, markerfacecolor=face,
-            markersize=6.5, markeredgewidth=1.4,
+            markersize=5.5, markeredgewidth=1.2,
         )  # fmt: skip
-    by_name = {facts.name: facts for facts in all_facts}
-    for y, response in heads:
-        edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
-        bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
-        style.note(ax, clean(by_name[response].title, 60), (0, y), (-3.5, 0), **bold)
-    style.name_rows(ax, places, [style.wrap(name, 40, 80) for name in frame["name"]], 8)
-    for y, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
-        style.at_right(
-            ax, f"{verdict}:  {words}" if verdict else words, y, _WORD_COLOR.get(verdict)
-        )
-    ax.set_ylim(height - 0.4, -0.7)
+    for y, name, words, weight in lines:
+        verdict = words.partition(":  ")[0]
+        edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False, "va": "top"}
+        style.note(ax, name, (0, y), (0, 0), fontweight=weight, **edge)
+        color = _WORD_COLOR.get(verdict, style.INK)
+        style.note(ax, words, (1, y), (0, 0), ha="right", color=color, **edge)
+    ax.set_ylim(height, -0.05)
+    ax.set_yticks([])
     _scale_of_multiples(ax, frame, limited, all_facts)
     style.clean_left(ax)
     return figure
@@ -388,7 +404,7 @@ def _scale_of_multiples(
         ax.minorticks_off()
     ax.set_xlim(low * 1.05, high * 1.06)
     ends = f", with {level(facts.alpha)} interval" if frame["low"].notna().any() else ""
-    ax.set_xlabel(f"largest difference between levels, as a multiple of what matters{ends}")
+    ax.set_xlabel(f"largest difference as a multiple of what matters{ends}")
 
 
 PLOTS: dict[str, style.Plot] = {

@@ -87,10 +87,11 @@ def draw_contrasts(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> Canv
         native_scale=True, dodge=False, saturation=1, width=0.66, errorbar=None, legend=False,
         ax=pareto,
     )  # fmt: skip
-    for column, dashes, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
+    limits = ("margin", "--", "one ", "right"), ("simultaneous", ":", " all", "left")
+    for column, dashes, name, side in limits:
         limit = float(shown[column].iloc[0])
         pareto.axvline(limit, color=style.INK, linewidth=0.8, linestyle=dashes)
-        style.above(pareto, name, limit)
+        style.above(pareto, name, limit, ha=side)
     style.name_rows(pareto, places, [style.wrap(name, 30) for name in shown["name"]])
     pareto.set_ylim(len(shown) - 0.4, -0.6)
     style.clean_left(pareto)
@@ -290,8 +291,6 @@ def draw_residuals(
     facts: Facts, data: ReportData, points: pd.DataFrame, *, ordered: bool = False
 ) -> Canvas:
     """Draw views of the residuals; rows of a table have an order, runs have none."""
-    import seaborn as sns
-
     rows: list[HashableList[str]]
     rows = [["normal", "fits"], ["histogram", "order"], ["factors", "factors"]]
     if not ordered:
@@ -320,8 +319,7 @@ def draw_residuals(
     panels["fits"].set(title="versus fits", xlabel=style.labeled("fit", where), ylabel=label)
     bins = int(np.clip(np.ceil(1 + np.log2(len(points))), 4, 40))  # Sturges 1926
     look = {"color": style.color_of(5), "edgecolor": "white", "linewidth": 0.6}
-    values = points["residual"].to_numpy(float)
-    sns.histplot(x=values, bins=bins, alpha=1, ax=panels["histogram"], **look)
+    panels["histogram"].hist(points["residual"].to_numpy(float), bins=bins, **look)
     panels["histogram"].set(title="histogram", xlabel=label, ylabel="rows")
     _against_factors(panels["factors"], shown, data, label)
     if ordered:

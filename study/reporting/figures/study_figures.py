@@ -194,7 +194,8 @@ def front_caption(facts: Facts, _data: ReportData, frame: pd.DataFrame) -> str:
     return sentence(
         f"{count(len(near), 'cell')} of {len(frame)} {lie} within "
         f"{trimmed(practical_of(facts, frame))}{THIN}{facts.difference_unit} of the best; the "
-        f"cheapest of them takes {duration(cheap)} a case, the dearest cell of all {duration(dear)}"
+        f"cheapest of them takes {duration(cheap)} a case, the most expensive of all cells "
+        f"{duration(dear)}"
     )
 
 
@@ -355,15 +356,24 @@ def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:
     shown = limited or analyzed[:1]
     if not any(effect.range is not None for facts in shown for effect in facts.terms):
         return None
+
+    def rows() -> pd.DataFrame:
+        frame = effect_figures.against_limits(shown, data.labels)
+        if len(frame) > _MOST_EFFECTS:
+            frame = effect_figures.against_limits(shown, data.labels, is_brief=True)
+        return frame
+
     plot: Plot = (
         "Every effect against what matters" if limited else "Every effect",
-        lambda: effect_figures.against_limits(shown, data.labels),
+        rows,
         lambda frame: effect_figures.draw_against_limits(frame, shown),
         lambda frame: _against_limits(frame, analyzed, shown, data),
     )
     return make("overview", plot)
 
 
+#: rows beyond which a term whose verdict is that of one setting has no row for its average
+_MOST_EFFECTS = 10
 #: part of the width of the figure that the mark of an effect covers
 _MARK = 0.02
 
@@ -377,7 +387,7 @@ def _against_limits(
         large, small = verdicts.count(MATTERS), verdicts.count(NO_DIFFERENCE)
         rest = len(verdicts) - large - small
         parts = [
-            f"{number} of {count(len(verdicts), 'effect')} {words}"
+            f"{number} {words}"
             for number, words in (
                 (large, f"matter{'s' * (large == 1)} (orange circle)"),
                 (small, f"{'is' if small == 1 else 'are'} too small to matter (green square)"),
@@ -385,6 +395,7 @@ def _against_limits(
             )
             if number
         ]
+        parts[0] = parts[0].replace(" ", f" of {count(len(verdicts), 'effect')} ", 1)
     else:
         parts = ["no smallest difference that matters was given, so no effect has a verdict"]
     if (frame["bound"] > 0).any():

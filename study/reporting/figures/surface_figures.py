@@ -42,8 +42,10 @@ if TYPE_CHECKING:
 
     Rows = list[tuple[FittedSurface, SurfaceAnalysis]]
 
-#: most factors whose profiles stand beside each other
+#: most factors whose profiles stand beside each other, and factors and responses of page one
 _COLUMNS = 6
+_FEW_COLUMNS = 3
+_FEW_ROWS = 2
 #: part of a profile's change below which a step back is rounding
 _LEVEL = 1e-3
 
@@ -61,17 +63,25 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
     return {kind: bound(_PLOTS[kind], surface, fitted, data) for kind in has if has[kind]}
 
 
-def profilers(data: ReportData) -> list[Figure]:
-    """Every response along every factor, one figure for each combination of the other factors."""
+def profilers(data: ReportData, *, is_first_page: bool = False) -> list[Figure]:
+    """Every response along every factor, one figure for each combination of the other factors.
+
+    The first page has the first of them, of the strongest factors and the first responses.
+    """
     by_labels = gathered(
         (at_labels(fitted, data), (fitted, fitted.surface))
         for fitted in data.surfaces
         if fitted.surface is not None
     )
+    plot: Plot
+    if is_first_page:
+        plot = ("Predictions", _few_profiles, _draw_profiles, _reference_words)
+        firsts = [rows[:_FEW_ROWS] for rows in by_labels.values()][:1]
+        return [make("few-profiles", bound(plot, rows, data)) for rows in firsts]
     figures = []
     names = slugs(f"profiler {labels}" for labels in by_labels)
     for labels, rows in by_labels.items():
-        plot: Plot = (
+        plot = (
             f"Every response along every factor{labels and ': '}{labels}",
             _profiles,
             _draw_profiles,
@@ -115,14 +125,22 @@ def _profiles(rows: Rows, data: ReportData) -> pd.DataFrame:
     )  # fmt: skip
 
 
-def _profiles_caption(rows: Rows, data: ReportData, frame: pd.DataFrame) -> str:
+def _few_profiles(rows: Rows, data: ReportData) -> pd.DataFrame:
+    frame = _profiles(rows, data)
+    return frame[frame["factor"].isin(frame["factor"].unique()[:_FEW_COLUMNS])]
+
+
+def _reference_words(rows: Rows, data: ReportData, frame: pd.DataFrame) -> str:
     _, where = _reference(rows, data)
     at = dict(zip(frame["factor"], frame["reference"], strict=True))
-    more = f"; drawn are the {_COLUMNS} strongest factors" if len(at) > _COLUMNS else ""
-    shown = (
-        f"predictions along each factor with the others {where} (lines: "
-        f"{settings(at, rows[0][0], data)}), with 95 % intervals as bands{more}"
-    )
+    number, of_all = min(len(at), _COLUMNS), len(rows[0][1].runs.factors)
+    more = f"; drawn are the {number} strongest factors" if number < of_all else ""
+    others = f" with the others {where} (lines: {settings(at, rows[0][0], data)})"
+    return sentence(f"predictions along each factor{others}, with 95 % intervals as bands{more}")
+
+
+def _profiles_caption(rows: Rows, data: ReportData, frame: pd.DataFrame) -> str:
+    shown = _reference_words(rows, data, frame)
     rest = [_finding(*row, data, frame[frame["response"] == row[0].response]) for row in rows]
     return " ".join(map(sentence, (shown, *rest)))
 
@@ -166,7 +184,10 @@ def _finding(
 def _draw_profiles(rows: Rows, data: ReportData, frame: pd.DataFrame) -> Canvas:
     names = list(dict.fromkeys(frame["factor"]))[:_COLUMNS]
     number, shared = len(rows) * len(names), {"sharex": "col", "sharey": "row"}
-    figure, axes = style.panels(number, len(names), 1.9, 0.5, **shared)
+    is_few = len(names) <= _FEW_COLUMNS and len(rows) <= _FEW_ROWS
+    figure, axes = style.panels(number, len(names), 1.6 if is_few else 1.9, 0.5, **shared)
+    if is_few:
+        figure.set_figwidth(style.HALF_IN)
     panels = frame.groupby(["response", "factor"])
     for ax, ((fitted, _), name) in zip(axes, product(rows, names), strict=True):
         part = panels.get_group((fitted.response, name))
@@ -244,7 +265,7 @@ def _shares_caption(
 def _draw_shares(
     _surface: SurfaceAnalysis, _fitted: FittedSurface, data: ReportData, frame: pd.DataFrame
 ) -> Canvas:
-    figure, ax = style.one_panel(0.8 + 0.36 * len(frame))
+    figure, ax = style.one_panel(0.8 + 0.3 * len(frame), style.HALF_IN)
     places = np.arange(len(frame))
     percents = 100 * frame[["total", "low", "high", "alone"]]
     ax.barh(places, percents["total"], color=style.color_of(0), height=0.55, alpha=0.35)
@@ -280,7 +301,7 @@ def _left_out_caption(
 def _draw_left_out(
     _surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData, frame: pd.DataFrame
 ) -> Canvas:
-    figure, ax = style.one_panel(3.9)
+    figure, ax = style.one_panel(3.9, style.HALF_IN)
     ends = [float(frame.min().min()), float(frame.max().max())]
     ax.plot(ends, ends, color=style.MUTED, linewidth=0.8)
     ax.scatter(frame["simulated"], frame["predicted"], s=14, color=style.color_of(0), linewidths=0)

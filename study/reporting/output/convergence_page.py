@@ -117,6 +117,13 @@ def formal_orders(cells: Sequence[Document]) -> list[str]:
     )
 
 
+def part(share: float | None) -> str:
+    """Write a part of a value in percent; below a thousandth no one can measure it."""
+    if share is not None and 0 < share < SMALLEST_PART:
+        return "< " + quantity(100 * SMALLEST_PART, "%", 1)
+    return quantity(None if share is None else 100 * share, "%", 2)
+
+
 def series_table(cells: Sequence[Document]) -> Table:
     """Every quantity of every cell: behavior, order, limit, uncertainty."""
     rows, raw = [], []
@@ -127,7 +134,7 @@ def series_table(cells: Sequence[Document]) -> Table:
             u = q["u_num"]
             share = MISSING if u is None else f"{significant(u, 3)} {clean(q['unit'])}".strip()
             if u is not None and q["value"][0]:
-                share += f" ({100 * u / abs(q['value'][0]):.2g} %)"
+                share += f" ({part(u / abs(q['value'][0]))})"
             rows.append((
                 clean(label_of(cell)), name_of(str(name)),
                 f"{significant(q['value'][0], 4)} {clean(q['unit'])}".strip(),
@@ -150,12 +157,8 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
     rows, raw = [], []
     for cell in cells:
         for row in cell.get("sources") or ():
-            share = row["relative"]
-            part = quantity(None if share is None else 100 * share, "%", 2)
-            if share is not None and 0 < share < SMALLEST_PART:  # no one can measure it
-                part = "< " + quantity(100 * SMALLEST_PART, "%", 1)
             name = name_of(str(row["quantity"]))
-            rows.append((clean(label_of(cell)), name, clean(row["source"]), part))
+            rows.append((clean(label_of(cell)), name, clean(row["source"]), part(row["relative"])))
             raw.append({"cell": label_of(cell)} | {
                 k: row[k] for k in ("quantity", "source", "unit", "u", "relative")
             })  # fmt: skip
@@ -220,12 +223,13 @@ def _series(cell: Document) -> Iterator[Block]:
             f"{general(cell['extrapolated'], 8)}, GCI {100 * cell['gci_fine']:.4g} %"
         )
     if cell["u_num"] is not None:
-        bound_text = f"{cell['value'][0]:.8g} +- {cell['u_num']:.3g} {cell['unit'] or ''}"
-        yield Verbatim(f"finest value {bound_text}".rstrip())
+        u = quantity(cell["u_num"], cell["unit"] or "")
+        yield Verbatim(f"finest value {cell['value'][0]:.8g} \N{PLUS-MINUS SIGN} {u}")
     given = cell.get("given_mesh")
     if given and given["u_num"] is not None:
-        share = f" ({100 * given['u_num'] / abs(given['value']):.2g} %)" if given["value"] else ""
-        yield Verbatim(f"on the mesh as given: {given['value']:.6g} +- {given['u_num']:.2g}{share}")
+        share = f" ({part(given['u_num'] / abs(given['value']))})" if given["value"] else ""
+        u = quantity(given["u_num"], cell["unit"] or "")
+        yield Verbatim(f"on the mesh as given: {given['value']:.6g} \N{PLUS-MINUS SIGN} {u}{share}")
     if cell.get("mesh_size_needed"):
         needed = f"a mesh size of {cell['mesh_size_needed']:.3g}"
         yield Verbatim(f"{100 * cell['accuracy']:g} % needs {needed}")

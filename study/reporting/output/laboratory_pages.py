@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.ground.units import times
 from study.laboratory.haptics.haptic_export import ConstantRange, ForceLaw
 from study.laboratory.registration.iterative_closest_point import Registration
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
@@ -201,7 +202,7 @@ def _reference(reference: ReferenceResult) -> Iterator[str]:
     )
     still = ", ".join(significant(v, 2) for v in reference.scatter_mm)
     ratio = fit.rms / float(np.linalg.norm(reference.scatter_mm))
-    less = f"{ratio:.2g} times" if np.isfinite(ratio) else "far"
+    less = times(ratio, 2) if np.isfinite(ratio) else "far"
     yield (
         f"At rest samples scatter by {still} mm along the tracker's axes: "
         f"{less} less than the poses are off, so more samples a pose would help little."

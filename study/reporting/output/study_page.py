@@ -98,6 +98,8 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Pages:
         *_cost(data, parts),
     ]
     curves = of_all.get("few-curves", of_all.get("curves"))
+    if curves is None:
+        curves = next(iter(surface_figures.profilers(data, is_first_page=True)), None)
     # of a table of levels that a surface replaces, nothing is missed
     pairs = [(item.title, warning) for item, _ in parts for warning in item.warnings]
     warnings = (*dict.fromkeys(data.warnings), *sentences.folded(pairs, data))
@@ -131,10 +133,11 @@ def two_pages(
     blocks: list[Block] = [Heading("Answer", 2, "answer"), *map(Sentence, answer)]
     if effects is not None:
         blocks += [Heading(effects.title, 2, "effects"), effects]
+    if curves is not None:
+        words = curves.title if data.surfaces else "Measured and predicted"
+        blocks += [Heading(words, 2, "curves"), curves]
     checks = analysis_content.all_checks(data, all_facts)
     blocks += [Heading("Report card", 2, "card"), report_card(checks, data)]
-    if curves is not None:
-        blocks += [Heading("Measured and predicted", 2, "curves"), curves]
     title = "Recommendation" if advice else "What would change this"
     if data.surfaces and advice:
         title = "Smallest and largest predictions"
@@ -185,14 +188,18 @@ _END = re.compile(r"(?<=[.?!])\s+(?=[A-Z\N{MULTIPLICATION SIGN}])")
 
 
 def in_few(lines: Iterable[str]) -> tuple[str, ...]:
-    """Return the lines that together have at most five sentences, the first of them cut to that."""
+    """Return the lines that together have at most five sentences, the first sentence by itself."""
     shown: list[str] = []
     left = MOST_SENTENCES
     for line in filter(None, lines):
         parts = _END.split(line)
-        if len(parts) <= left or not shown:
-            shown.append(" ".join(parts[:left]))
-            left -= min(len(parts), left)
+        if not shown:
+            shown += filter(None, (parts[0], " ".join(parts[1:left])))
+        elif len(parts) <= left:
+            shown.append(line)
+        else:
+            continue
+        left -= min(len(parts), left)
     return tuple(shown)
 
 
@@ -273,13 +280,13 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
     if records is not None:
         names = tuple(f"{tables.CELL}{k}" for k in range(1, len(cells.rows) + 1))
         cells = replace(cells, links=names)
-    measured = ["Generated (virtual specimens), not measured."] if data.virtual else []
-    if data.imported:
-        measured += data.imported
+    measured = data.citation or "No citation given."
+    if data.virtual:
+        measured = f"Generated, not measured: {data.citation or 'virtual specimens'}"
+    elif data.imported:
+        measured = " ".join(data.imported)
     elif not data.is_measured:
-        measured.append("none: every response is one of the simulation alone")
-    elif data.citation or not data.virtual:
-        measured.append(data.citation or "No citation given.")
+        measured = "none: every response is one of the simulation alone"
     present = len(cells.rows)
     computed = f"{present:,} of {count(data.planned, 'cell')} computed"
     if present >= data.planned:
@@ -294,7 +301,7 @@ def _study(data: ReportData, all_facts: Sequence[Facts]) -> Iterator[Block]:
         *blocks_of(data, len(data.blocks)),
         Definition("Cases", [Sentence(f"{computed}, {len(data.table):,} cases")]),
         Definition("Responses", [Sentence(note(f), f.title) for f in all_facts]),
-        Definition("Measurements", [Sentence(" ".join(measured))]),
+        Definition("Measurements", [Sentence(measured)]),
         *(Definition(key, [Sentence(text)], "assumed" * (key in data.assumed))
           for key, text in inputs.items()),
         *(Definition(key, [Sentence(text)], "assumed")
@@ -408,7 +415,7 @@ def _response(data: ReportData, item: Facts, figures: Figures) -> Blocks:
             links=(("the matrix", "#matrix"),),
         )
     if "depth" in figures:
-        yield Heading("A second look: how deep the test goes")
+        yield Heading("Effects against the depth of the test")
         yield figures["depth"]
 
 

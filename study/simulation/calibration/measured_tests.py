@@ -13,6 +13,7 @@ import numpy as np
 from study.ground.arrays import Array, gathered
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
+from study.ground.units import times
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
 from study.mechanics.forward.contact_law import Layer
@@ -211,7 +212,7 @@ def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
     small, large = min(peaks, key=peaks.__getitem__), max(peaks, key=peaks.__getitem__)
     ratio = peaks[large] / max(peaks[small], 1e-300)
     return [
-        f"the forces of {large} are {ratio:.3g} times those of {small}, which hardly count at "
+        f"the forces of {large} are {times(ratio)} those of {small}, which hardly count at "
         "these weights: write weight = 'scatter' or a number"
     ]
 

@@ -76,8 +76,8 @@ def assemble(out: AnalysisResult) -> AnalysisResult:
     groups_of = out.copies
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error_term is not NO_ERROR:
         out = out.warn(
-            f"{sum(map(len, groups_of))} cells hold {len(groups_of)} distinct computations (the "
-            "others agree in every block); checks of the residuals use one of each"
+            f"only {len(groups_of)} of {sum(map(len, groups_of))} cells differ: the others give "
+            "the same numbers in every block, so checks of the residuals take one cell of each kind"
         )
     notes = tuple(dict.fromkeys(out.notes))
     return replace(out, effects=with_holm(out.effects), power=planned(out), notes=notes)

@@ -130,14 +130,14 @@ def _by_contrast(out: AnalysisResult, table: Crossed) -> tuple[Assumptions, tupl
     try:
         contrasts = helmert_contrasts(table.layout, out.terms, table.y)
     except InputError:
-        why = "normality: not applicable: a combination of levels is missing"
+        why = "normality: not tested, because a combination of levels is missing"
         return unequal, (*warnings, why)
     tolerance = out.working_tolerance() / 10
     tested = row_normality(
         contrasts, tolerance=tolerance, alpha=out.request.alpha, seed=out.request.seed
     )
     if tested.p is None:
-        return unequal, (*warnings, f"normality: not applicable: {tested.warning}")
+        return unequal, (*warnings, f"normality: not tested, because {tested.warning}")
     if tested.warning:
         warnings.append(f"Ryan-Joiner over blocks: {tested.warning}")
     share = block_share(contrasts, tolerance=tolerance, seed=out.request.seed)
@@ -162,7 +162,7 @@ def _by_contrast(out: AnalysisResult, table: Crossed) -> tuple[Assumptions, tupl
 def _inapplicable(**tests: SpreadTest) -> list[str]:
     """One sentence for every reason for which tests are not applicable."""
     reasons = gathered((test.reason, name) for name, test in tests.items() if test.reason)
-    return [f"{' and '.join(names)}: not applicable: {why}" for why, names in reasons.items()]
+    return [f"{' and '.join(names)}: not applied, because {why}" for why, names in reasons.items()]
 
 
 def _ryan_joiner(
@@ -200,7 +200,7 @@ def _of_residuals(out: AnalysisResult) -> tuple[AnalysisResult, Assumptions]:
         fit = factor(reduced, out.y[rows])
     out, normality = _ryan_joiner(out, fit)
     if not normality.applicable:
-        out = out.warn(f"normality: not applicable: {normality.reason}")
+        out = out.warn(f"normality: not tested, because {normality.reason}")
     if normality.warning:
         out = out.warn(normality.warning)
     values = fit.residual if blocked else out.y[rows]

@@ -409,7 +409,7 @@ def row_normality(
         RowTest(term, index, float(r), float(raw), float(both))
         for (term, index), r, raw, both in zip(names, rj, p, adjusted, strict=True)
     )
-    few = f"b = {blocks}: power is small, non-rejection says little"
+    few = f"only {blocks} blocks: the power is small, and a non-rejection says little"
     warning = few if blocks < FEW_BLOCKS else ""
     return RowNormality(tests, blocks, together, together < alpha, warning)
 

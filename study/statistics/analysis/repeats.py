@@ -9,6 +9,7 @@ import numpy as np
 
 from study.ground.arrays import gathered
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.units import times
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.anova_table import Anova, NaiveTerm, NestedUnits, Row
 from study.statistics.analysis.comparisons import t_quantile
@@ -147,7 +148,7 @@ def sentences(nested: NestedUnits, alpha: float) -> list[str]:
         f"repeats on one {unit} are nested in it",
         f"two rows on one {unit} correlate by {nested.correlation:.2f}: {nested.rows} rows tell as "
         f"much as {nested.effective_rows:.0f} independent ones; taking them as independent would "
-        f"give intervals {nested.too_narrow:.2g} times too narrow and reject a true null in "
+        f"give intervals {times(nested.too_narrow, 2)} too narrow and reject a true null in "
         f"{100 * nested.naive_size:.0f} % of studies instead of 5 %",
     ]
     for t in nested.terms:

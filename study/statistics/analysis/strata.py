@@ -521,7 +521,7 @@ def _own_error(
         against = f"interaction with {blocks} levels of {block}"
         is_requested = out.request.error == "own"
         why = "asked for" if is_requested else "every cell is seen in the same blocks"
-    question += f" (each effect against its own {against}, Greenhouse-Geisser deciding)"
+    question += f" (each effect against its own {against}, Greenhouse-Geisser corrected)"
     return ErrorTerm(source, question, df, why), cautions
 
 

@@ -187,7 +187,7 @@ def _of_emulator(
         "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings",
     ]
     if any(item.confirm for item in judged):
-        notes.append("matters holds once the two predicted extremes were run: see confirm")
+        notes.append('"matters" needs the runs that confirm it')
     return judged, notes
 
 

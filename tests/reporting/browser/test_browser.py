@@ -74,6 +74,24 @@ def test_pages_are_quiet_whole_and_within_the_screen(tab, folder, width, scheme)
         assert tab.ask(EMPTY_FIGURES) == 0
 
 
+def test_effects_and_curves_stand_on_the_first_screen(tab, folder):
+    """Beside each other at 1280 pixels; below each other, as wide as the phone, at 390."""
+    places = """["overview", "few-curves"].map((name) => {
+      const box = document.querySelector(`#f-${name} svg`).getBoundingClientRect();
+      return [box.left, box.right, box.top, box.bottom];
+    })"""
+    first = folder / "ecoflex-compression.html"
+    tab.open(first, 1280, "light")
+    (_, right, top, _), (left, end, of_curves, bottom) = tab.ask(places)
+    assert right < left < end <= 1280
+    assert top == of_curves
+    assert bottom <= 800
+    tab.open(first, 390, "light")
+    (_, right, _, bottom), (left, end, of_curves, _) = tab.ask(places)
+    assert 0 <= left < right == end <= 390
+    assert bottom < of_curves
+
+
 def test_the_first_page_has_three_screens_at_most(tab, folder):
     tab.open(folder / "ecoflex-compression.html", 1280, "light")
     assert tab.ask("document.documentElement.scrollHeight") <= 3 * 800
