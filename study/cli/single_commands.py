@@ -189,7 +189,7 @@ def inspection_blocks(inspection: Inspection) -> Iterator[Block]:
     )
     for phase in inspection.phases:
         ends = zip(phase["from"], phase["to"], strict=True)
-        far, hard = (f"{a:.6g} to {b:.6g}" for a, b in ends)
+        far, hard = (between(end, 6) for end in ends)
         lines, units = "{} to {}".format(*phase["lines"]), inspection.units
         yield Verbatim(f"{phase['phase']}: lines {lines}, {far} {units[0]}, {hard} {units[1]}")
     yield from (Verbatim(f"note: {note}") for note in inspection.notes)

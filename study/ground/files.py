@@ -262,6 +262,9 @@ def decoded(data: bytes, source: str, declared: str = "") -> tuple[str, str]:
         line = data.count(b"\n", 0, error.start) + 1
         where, rule = f"{source}:{line}", f"byte {data[error.start]:#04x} is not {encoding}"
         mend = "save the file as UTF-8"
+        if b"\0" in data and encoding != "UTF-16":  # MATLAB, LabVIEW's TDMS, test machines
+            where, rule = source, "is a binary file, no text"
+            raise InputError(Fault(where, rule, "export the recording as CSV or text")) from error
         if declared:
             rule += ", which is declared"
             mend = "leave measurements.encoding out: it is found"

@@ -259,6 +259,7 @@ BAD = {
     "preamble": (b"made by X,\nof 2020,\nd,f\n0,0\n", "line 3 names the columns"),
     "half utf-8": ("d,f,\u00b0C\n".encode() + b"0,0,\xb0\n", "a.csv:2: byte 0xb0"),
     "not text": (b"d,f\n0,\x81\n", "a.csv:2: byte 0x81"),
+    "saved by MATLAB": (b"MATLAB 5.0 MAT-file\n\x0e\0\xe0\x01\0\n", "a.csv: is a binary file"),
     "filled beyond the header": (b"d,f\n0,0,\n1,1,5\n2,2,\n", "a.csv:3: has 3 cells"),
     "no group of three": (b'd,f\n0,"1,20.5"\n1,2\n', "a.csv:2: column 'f'"),
 }

@@ -48,7 +48,7 @@ def p_phrase(p: float | None) -> str:
 
 def general(value: float | None, digits: int = 4) -> str:
     """Write a number to a precision, without zeros at its end; a dash for none."""
-    return "-" if value is None else f"{value:.{digits}g}"
+    return "-" if value is None else f"{value + 0.0:.{digits}g}"  # no minus zero
 
 
 def between(ends: Sequence[float | None] | None, digits: int = 5) -> str:
