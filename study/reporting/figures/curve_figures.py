@@ -403,7 +403,9 @@ def draw_curves(panels: CurvePanels, data: ReportData, _frame: pd.DataFrame) -> 
         if column == 0:
             unit = "%" if panels.is_relative else "N"
             force.set_ylabel(f"force ({unit})", fontsize=6.5 if is_few else 8.5)
-            residual.set_ylabel(f"resid. ({unit})", fontsize=6.5 if is_few else 8.5)
+            # in the unit of the force above; a low panel has no room to say so again
+            label = "resid." if is_few else f"resid. ({unit})"
+            residual.set_ylabel(label, fontsize=6.5 if is_few else 8.5)
         for ax in (force, residual):
             # the zero of force would touch the highest residual
             nbins, prune = (4, "lower") if ax is force else (3, None)
