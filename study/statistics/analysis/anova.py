@@ -553,7 +553,7 @@ def _with_empty_cells(
         f"({error_ledger.smaller_model(data, request)})"
     )
     reason = error_ledger.undecided(data, request)
-    return replace(structure, undecided=reason, declared=terms), told_apart, [note]
+    return replace(structure, undecided=reason, asked=terms), told_apart, [note]
 
 
 def _lacking(data: Data, plots: Plots | None) -> str:

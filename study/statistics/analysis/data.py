@@ -301,7 +301,7 @@ class Structure:
     #: Why factors are not judged whose terms the runs cannot tell from others; empty if none.
     undecided: str = ""
     #: Terms of the model with those; empty where none was left out.
-    declared: tuple[Term, ...] = ()
+    asked: tuple[Term, ...] = ()
 
 
 def structure_of(data: Data) -> Structure:

@@ -180,7 +180,7 @@ def pooled(out: AnalysisResult, untested: str = "") -> AnalysisResult:
     rows.append(Row("residual", fit.df_residual, left, ms))
     by_name = {row.term: row for row in rows}
     # what the runs do not tell apart is left out of the sums, not of what can be estimated
-    declared = out.structure.declared
+    declared = out.structure.asked
     judged = factor(model_matrix(data.layout, declared, extra=extra), out.y) if declared else fit
 
     alpha = out.request.alpha

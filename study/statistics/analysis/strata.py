@@ -464,7 +464,7 @@ def _estimates(
         each = (fit.inverse @ fit.q.T) * (y - fit.shift)
         return fit, each.reshape(len(each), -1, b).sum(axis=1)
 
-    fit, added = with_parts(out.structure.declared or out.terms)
+    fit, added = with_parts(out.structure.asked or out.terms)
     sample = over_groups(fit, added, groups, request.confidence)
     own_errors = over_groups(fit, added, groups, Confidence(request.alpha))
     if fewest < 2:  # one block tells no scatter
