@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 from study.ground.arrays import gathered
 from study.ground.canonical import plain
 from study.ground.curve import Curve
-from study.ground.declaration import dump_toml, flatten, parse_toml
+from study.ground.declaration import dump_toml, flatten, parse_toml, table_of
 from study.ground.errors import Fault, InputError, nearest
+from study.harness.design.load import demo_design
 from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.design.spec import Design, ResponseSpec
 from study.harness.runner import record_analysis
@@ -291,7 +292,7 @@ def report_data(study: Study) -> ReportData:
         alpha=design.analysis.alpha,
         timings=dict(manifest.get("timings", {})),
         provenance=_provenance(study),
-        commands=(f"study run {manifest['source']}", f"study report {study.folder}"),
+        commands=_to_reproduce(design, manifest),
         data_notes=tuple(manifest["notes"]),
         design_text=manifest["text"] or manifest["design"],
         scheme=_scheme(study),
@@ -577,6 +578,24 @@ def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:
         ),
         f"{'nothing' if good else 'something'} other than the factors differs between them",
     )
+
+
+def _to_reproduce(design: Design, manifest: Mapping[str, Any]) -> tuple[str, ...]:
+    """Lines that a shell in an empty folder takes: they compute the study anew."""
+    if manifest["text"] == demo_design().text:
+        return ("study demo",)
+    source = str(manifest["source"])
+    name = source if source.endswith(".toml") else f"{design.name}.toml"
+    model = table_of(design.config, "forward").get("model")
+    lines = [f"# save the design file below as {name}"]
+    if manifest["files"]:
+        lines.append("# copy the files of measurements (their sha256 is below) to measurements/")
+    if model == "command":
+        lines.append("# copy its program and templates, as the design names them, beside it")
+    if model == "python":
+        function = "forward=FUNCTION, version=VERSION"
+        return (*lines, f"# in Python, with its function: study.run({name!r}, {function})")
+    return (*lines, f"study run {name}{' --allow-commands' * (model == 'command')}")
 
 
 def _provenance(study: Study) -> dict[str, str]:

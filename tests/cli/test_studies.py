@@ -1,6 +1,9 @@
 """The verbs about studies on a real one: plan, run, status, report, analyze, why, diff."""
 
+import html
+import json
 import os
+import shlex
 import shutil
 from contextlib import chdir
 from pathlib import Path
@@ -476,3 +479,36 @@ def test_the_page_of_a_table_has_them_and_its_line_makes_it_again(tmp_path):
     assert "Holm&#39;s p" in page or "Holm's p" in page
     assert "--contrast" in page
     assert "Differences that were asked for" in page
+
+
+@pytest.mark.parametrize(
+    "overrides", [(), pytest.param(("-s", "study.seed=7"), marks=pytest.mark.verify)]
+)
+def test_a_study_is_reproduced_in_an_empty_folder_by_what_its_page_says(
+    finished, tmp_path, monkeypatch, overrides
+):
+    """The page says what to save, and one command, which gives the same records."""
+    monkeypatch.chdir(finished.folder)
+    results = tmp_path / "results" if overrides else Path("results")
+    if overrides:
+        success(
+            "run", "small.toml", "--data", "data", "--jobs", 1, "--results", results, *overrides
+        )
+    success("report", results / "small", "--format", "html", "--reports", tmp_path / "first")
+    text = html.unescape(next((tmp_path / "first").rglob("*-details.html")).read_text())
+    save, copy, command = (
+        text.split("To reproduce")[1].split("<pre>")[1].split("</pre>")[0].split("\n")
+    )
+    design = text.split("The design file")[1].split("<pre>")[1].split("</pre>")[0]
+    empty = tmp_path / "empty"
+    shutil.copytree(finished.folder / "data", empty / "measurements")
+    (empty / save.split()[-1]).write_text(design)
+    assert copy.endswith("to measurements/")
+    success(*shlex.split(command)[1:], "--jobs", 1, folder=empty)
+    first, again = (
+        {path.parent.name: json.loads(path.read_text())["content"]["responses"]
+         for path in Path(folder).glob("results/small/cases/*/record.json")}
+        for folder in (tmp_path if overrides else finished.folder, empty)
+    )  # fmt: skip
+    assert first
+    assert first == again

@@ -530,7 +530,8 @@ class FileKind(Generic[File, Loaded]):
             rule = f"is {declared!r}, and the tables are those of a {looks}"
             raise InputError(Fault(f"{source}: kind", rule, _VERBS[looks]))
         file = read_table(self.section, tables, "", faults)
-        value = self.make(file, tables, faults, source, text)
+        # a text that says something else than what was loaded is no text of it
+        value = self.make(file, tables, faults, source, "" if overrides else text)
         faults.refuse(source)
         return value
 
