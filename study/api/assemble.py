@@ -580,7 +580,7 @@ def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:
     )
 
 
-def _to_reproduce(design: Design, manifest: Mapping[str, Any]) -> tuple[str, ...]:
+def _to_reproduce(design: Design, manifest: Mapping[str, object]) -> tuple[str, ...]:
     """Lines that a shell in an empty folder takes: they compute the study anew."""
     if manifest["text"] == demo_design().text:
         return ("study demo",)
