@@ -277,6 +277,7 @@ class LoadPath:
             if self._advance(middle, halvings - 1) and self._advance(target, halvings - 1):
                 return True
             self._return_to(there)  # smaller steps found nothing
+            self._is_through = False
         if unstable:
             self._refuse(self.state, self.system)
             return False
