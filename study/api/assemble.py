@@ -24,7 +24,7 @@ from study.harness.runner.record_analysis import fates, unit_of
 from study.harness.runner.study_refinement import stored_convergence
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.measurement.measured_test import IMPLAUSIBLE
-from study.record.record import Record, is_repeat, table
+from study.record.record import Record, are_imported, is_repeat, table
 from study.reporting import content
 from study.reporting.content.analysis_content import contrasts
 from study.reporting.content.blocks import Block, Sentence, Verbatim
@@ -292,7 +292,7 @@ def report_data(study: Study) -> ReportData:
         alpha=design.analysis.alpha,
         timings=dict(manifest.get("timings", {})),
         provenance=_provenance(study),
-        commands=_to_reproduce(design, manifest),
+        commands=_to_reproduce(study),
         data_notes=tuple(manifest["notes"]),
         design_text=manifest["text"] or manifest["design"],
         scheme=_scheme(study),
@@ -580,11 +580,14 @@ def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:
     )
 
 
-def _to_reproduce(design: Design, manifest: Mapping[str, object]) -> tuple[str, ...]:
+def _to_reproduce(study: Study) -> tuple[str, ...]:
     """Lines that a shell in an empty folder takes: they compute the study anew."""
-    if manifest["text"] == demo_design().text:
-        return ("study demo",)
+    design, manifest = study.design, study.manifest
     source = str(manifest["source"])
+    if source == "demo.toml" and manifest["text"] == demo_design().text:
+        return ("study demo",)
+    if are_imported(manifest["notes"]):
+        return (f"# the runs were made elsewhere: study import reads their table, {source}",)
     name = source if source.endswith(".toml") else f"{design.name}.toml"
     model = table_of(design.config, "forward").get("model")
     lines = [f"# save the design file below as {name}"]
